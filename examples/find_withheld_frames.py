@@ -67,7 +67,7 @@ def main(recordings: str, out: str, elsewhere: str | None, points: str | None, l
         for count in (1, CLIP):
             around = [[one + 2 * step for step in range(-(count // 2), count // 2 + 1)] for one in some]
             films = [film for film in around if all(one in scores and same(whole, one, film[0]) for one in film)]
-            found = [graph.combine([scores[one] for one in film], np.arange(count) - count // 2) for film in films]
+            found = [graph.combine([scores[one] for one in film]) for film in films]
             text, curve = measures(whole, kept, [film[count // 2] for film in films], found)
             lines.append(f"| {name}, {'a photo' if count == 1 else f'{count} photos'} | {text}")
             if name == "all":

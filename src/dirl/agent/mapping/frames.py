@@ -11,6 +11,7 @@ import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -23,7 +24,7 @@ from tqdm import tqdm
 
 from dirl.agent.mapping.graph import MapError
 from dirl.perception.columns import load_column_net
-from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Scale
+from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Motion, Scale
 from dirl.scenes.io.atomic import atomic_path
 from dirl.scenes.io.bounded import read_arrays
 from dirl.scenes.views import encode, open_image, to_rgb
@@ -59,6 +60,10 @@ FAR = 300.0
 
 WINDOW = 6
 """Frames around the end of a link to which the other end is not linked, too."""
+
+DRIFT, ASTRAY = (20.0, 0.25), (3.0, 0.2)
+"""Degrees that the moves from one end of a link to the other may be off, and more for each frame between; and steps
+that they may lead away from it, and more for each step."""
 
 RIGHT = 4.2, 1.1, -7.5
 """Of a logistic regression of right answers: log ratio to the best other place, log score, constant."""
@@ -139,6 +144,10 @@ class FrameMap:
             path.append(int(following[path[-1]]))
         return path
 
+    def motion(self, matcher: FrameMatcher, frame: int, other: int) -> Motion | None:
+        """Return the motion from one frame to another; None if too few of their points agree."""
+        return matcher.motion(self.described[frame : frame + 1], self.described, other, self.size, self.field_of_view)
+
     def same_place(self, frame: int) -> NDArray[np.bool_]:
         """The frames that may show the same place as one does, ``[N]``: near in time, or to those that are linked."""
         linked = [frame, *self.links[self.links[:, 0] == frame, 1], *self.links[self.links[:, 1] == frame, 0]]
@@ -153,32 +162,28 @@ class FrameMap:
         steps = np.diff(self.times)[self.parts[1:] == self.parts[:-1]]
         return float(np.median(steps)) or 1.0
 
-    def find(self, matcher: FrameMatcher, photos: Described, times: Sequence[float] | None = None) -> Found:
+    def find(self, matcher: FrameMatcher, photos: Described) -> Found:
         """Find where photos were taken, or say that it was not here.
 
         Args:
             matcher: of the kind that described the frames.
-            photos: one, or several in a row, as of a short video: those that a walk shows one after the other, in this
-                direction or the other, or that were taken at one place.
-            times: of the photos, seconds; the distance of the frames in the map if left out.
+            photos: one, or several in a row, as of a short video: those that a walk shows one after the other, about as
+                often as the map has frames, in this direction or the other, or that were taken at one place.
         """
-        seconds = np.arange(len(photos)) * self.spacing if times is None else np.asarray(times, float)
-        offsets = np.rint((seconds - seconds[len(photos) // 2]) / self.spacing).astype(int)
-        if any(
-            getattr(photos, part).shape[1:] != getattr(self.described, part).shape[1:] for part in ("looks", "vectors")
-        ):
-            raise MapError("the frames of the map are described in another way than the photos; make it anew")
-        each = [self.score(matcher, photos[number : number + 1]) for number in range(len(photos))]
-        return self.combine(each, offsets)
+        for name in ("looks", "vectors"):
+            if getattr(photos, name).shape[1:] != getattr(self.described, name).shape[1:]:
+                raise MapError("the frames of the map are described in another way than the photos; make it anew")
+        return self.combine([self.score(matcher, photos[number : number + 1]) for number in range(len(photos))])
 
-    def combine(self, each: Sequence[NDArray[np.float64]], offsets: Sequence[int] | NDArray[np.int64]) -> Found:
-        """Where photos were taken whose scores are known, so many frames after the middle one."""
+    def combine(self, each: Sequence[NDArray[np.float64]]) -> Found:
+        """Where photos in a row were taken whose scores are known."""
         frames, hypotheses = np.arange(len(self)), []
         for direction in (1, -1, 0) if len(each) > 1 else (0,):
             total = np.zeros(len(self))
-            for scores, offset in zip(each, offsets, strict=True):
-                at = np.clip(frames + direction * offset, 0, len(self) - 1)
-                total += np.where((self.parts[at] == self.parts) & (at == frames + direction * offset), scores[at], 0)
+            for number, scores in enumerate(each):
+                shown = frames + direction * (number - len(each) // 2)
+                at = np.clip(shown, 0, len(self) - 1)
+                total += np.where((self.parts[at] == self.parts) & (at == shown), scores[at], 0)
             hypotheses.append(total)
         scores = np.max(hypotheses, 0) / len(each)
         frame = int(scores.argmax())
@@ -278,28 +283,6 @@ def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
             raise ValueError(f"{name}: {found.dtype} {list(found.shape)}")
 
 
-class Growing:
-    """Arrays of one length that grow in place as frames are described, so that a long recording is held once."""
-
-    def __init__(self) -> None:
-        self.arrays: list[NDArray[Any]] = []
-        self.count = 0
-
-    def add(self, described: Described) -> None:
-        """Append one view."""
-        rows = [getattr(described, field.name) for field in fields(Described)]
-        self.arrays = self.arrays or [np.empty((0, *row.shape[1:]), row.dtype) for row in rows]
-        for array, row in zip(self.arrays, rows, strict=True):
-            if self.count == len(array):
-                array.resize((self.count + self.count // 8 + 64, *array.shape[1:]), refcheck=False)
-            array[self.count] = row[0]
-        self.count += 1
-
-    def done(self) -> Described:
-        """All views so far."""
-        return Described(*(array[: self.count] for array in self.arrays))
-
-
 def check_memory(frames: int, every: float) -> None:
     """Refuse a recording whose map would not fit into the memory that is free.
 
@@ -335,7 +318,8 @@ def map_recordings(
     Raises:
         MapError: there are fewer than two frames, or they are of different shapes.
     """
-    growing = Growing()
+    grown = [bytearray() for _ in fields(Described)]  # which grow in place, so that a long recording is held once
+    last: list[NDArray[Any]] = []
     pictures: list[bytes] = []
     times: list[float] = []
     parts: list[int] = []
@@ -351,7 +335,9 @@ def map_recordings(
                     raise MapError(
                         f"recording {part + 1}: {image.shape[1]}x{image.shape[0]} pixels, not {width}x{height}"
                     )
-                growing.add(matcher.describe([image]))
+                last = matcher.describe([image]).arrays
+                for held, array in zip(grown, last, strict=True):
+                    held += array.tobytes()
                 small = Image.fromarray(image)
                 small.thumbnail((PICTURE, PICTURE))
                 pictures.append(encode(np.asarray(small), quality=70, method=2))
@@ -362,11 +348,12 @@ def map_recordings(
     if len(times) < 2:
         raise MapError(f"the recording has {len(times)} frames to keep; at least two are needed")
     known = [place for place in places if place is not None]
+    shapes = [(len(times), *one.shape[1:]) for one in last]
     return FrameMap(
         pictures,
         np.array(times),
         np.array(parts),
-        growing.done(),
+        Described(*(np.ndarray(shape, one.dtype, held) for shape, one, held in zip(shapes, last, grown, strict=True))),
         np.zeros((0, 2), np.int64),
         field_of_view,
         matcher.kind,
@@ -381,28 +368,13 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
 
     Frames of every half second are compared, each with those that are most alike as a whole. Two are linked if so many
     of their points agree, more than with any other place, and those of the frames before or after, too: places that
-    only look alike seldom do so for long.
+    only look alike seldom do so for long. Nor may the moves from one frame to the other lead elsewhere.
     """
-    scale, stride = graph.scale, max(1, round(EVERY / graph.spacing))
-    some = np.arange(0, len(graph), stride)
+    scale = graph.scale
+    some = np.arange(0, len(graph), max(1, round(EVERY / graph.spacing)))
     times, parts = graph.times[some], graph.parts[some]
-    agreeing: dict[int, dict[int, float]] = defaultdict(dict)  # of two frames, in both orders
-    cost: dict[tuple[int, int], float] = {}
-    for row in tqdm(range(1, len(some)), desc="links", unit="", disable=None if progress else True):
-        frame = some[row]
-        seen = graph.described[frame : frame + 1]
-        apart = np.flatnonzero((times[row] - times[:row] > APART) | (parts[row] != parts[:row]))
-        if len(apart) > scale.shortlist:
-            likeness = matcher.likeness(seen, graph.described)[some[apart]]
-            apart = apart[np.argsort(-likeness)[: scale.shortlist]]
-        fit = matcher.fit(seen, graph.described, some[apart].tolist())
-        distance, turn = np.hypot(fit.ahead, fit.right), np.abs(fit.turned)
-        costs = 1 + distance / STRIDE + turn / TURN
-        near = (distance < NEAR) & (turn < TURNED)
-        for other, score, value, is_near in zip(apart.tolist(), fit.score.tolist(), costs.tolist(), near, strict=True):
-            agreeing[row][other] = agreeing[other][row] = score
-            if is_near:
-                cost[other, row] = value
+    agreeing, cost = _compare(graph, matcher, some, progress)
+    course = None if scale.tells_places else Course.of(graph, matcher, some)
 
     def supported(one: int, two: int) -> bool:
         """True if the frames around agree, too, walked in the same direction or in the other."""
@@ -438,13 +410,75 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
         beside |= any(abs(other - one) <= WINDOW for other in linked[two])
         if beside and not scale.tells_places:
             continue
-        if distinct(one, two) and distinct(two, one) and supported(one, two):
+        if not (distinct(one, two) and distinct(two, one) and supported(one, two)):
+            continue
+        if course is None or course.leads_back(one, two, graph.motion(matcher, some[one], some[two])):
             links.append((one, two))
             linked[one].append(two)
             linked[two].append(one)
     links.sort()
     found = some[np.array(links, np.int64).reshape(-1, 2)]
     return replace(graph, links=found, costs=np.array([cost[pair] for pair in links]))
+
+
+def _compare(
+    graph: FrameMap, matcher: FrameMatcher, some: NDArray[np.int64], progress: bool
+) -> tuple[dict[int, dict[int, float]], dict[tuple[int, int], float]]:
+    """Return how many points of some frames agree, by their numbers in both orders, and what a link of two would cost.
+
+    Pairs that were taken too far from one another have no cost.
+    """
+    scale, times, parts = graph.scale, graph.times[some], graph.parts[some]
+    agreeing: dict[int, dict[int, float]] = defaultdict(dict)
+    cost: dict[tuple[int, int], float] = {}
+    for row in tqdm(range(1, len(some)), desc="links", unit="", disable=None if progress else True):
+        seen = graph.described[some[row] : some[row] + 1]
+        apart = np.flatnonzero((times[row] - times[:row] > APART) | (parts[row] != parts[:row]))
+        if len(apart) > scale.shortlist:
+            likeness = matcher.likeness(seen, graph.described)[some[apart]]
+            apart = apart[np.argsort(-likeness)[: scale.shortlist]]
+        fit = matcher.fit(seen, graph.described, some[apart].tolist())
+        distance, turn = np.hypot(fit.ahead, fit.right), np.abs(fit.turned)
+        costs = 1 + distance / STRIDE + turn / TURN
+        near = (distance < NEAR) & (turn < TURNED)
+        for other, score, value, is_near in zip(apart.tolist(), fit.score.tolist(), costs.tolist(), near, strict=True):
+            agreeing[row][other] = agreeing[other][row] = score
+            if is_near:
+                cost[other, row] = value
+    return agreeing, cost
+
+
+class Course(NamedTuple):
+    """Where the moves between successive frames lead, ``[N]`` each; it drifts."""
+
+    heading: NDArray[np.float64]
+    """Degrees to the left."""
+    place: NDArray[np.complex128]
+    """Steps ahead of the first frame, and to the left: every move that is no turn on the spot is a step ahead."""
+    walked: NDArray[np.float64]
+    """Steps so far."""
+    gaps: NDArray[np.int64]
+    """Moves so far that are not known; a frame has too few points in common with the next."""
+
+    @classmethod
+    def of(cls, graph: FrameMap, matcher: FrameMatcher, some: NDArray[np.int64]) -> "Course":
+        """Return the course along some frames of a map."""
+        moves = [graph.motion(matcher, one, two) for one, two in pairwise(some.tolist())]
+        turned = np.array([0.0 if move is None else move.turned for move in moves])
+        steps = np.array([float(move is not None and not move.on_the_spot) for move in moves])
+        gaps = np.array([move is None for move in moves]) | (np.diff(graph.parts[some]) != 0)
+        heading, walked, missing = (np.append(0, np.cumsum(part)) for part in (turned, steps, gaps))
+        place = np.append(0, np.cumsum(steps * np.exp(1j * np.radians(heading[:-1] + turned / 2))))
+        return cls(heading, place, walked, missing)
+
+    def leads_back(self, one: int, two: int, motion: Motion | None) -> bool:
+        """True unless the moves between two frames, which are a motion apart by their points, lead elsewhere."""
+        if self.gaps[one] != self.gaps[two] or motion is None:
+            return True
+        turned = self.heading[two] - self.heading[one] - motion.turned
+        away, walked = abs(self.place[two] - self.place[one]), self.walked[two] - self.walked[one]
+        straight = abs((turned + 180) % 360 - 180) <= DRIFT[0] + DRIFT[1] * (two - one)
+        return bool(straight and away <= ASTRAY[0] + ASTRAY[1] * walked)
 
 
 def _inside(parts: NDArray[np.int64], frame: int, step: int) -> bool:

@@ -44,9 +44,7 @@ def moves_along(graph: FrameMap, matcher: FrameMatcher, path: Sequence[int]) -> 
     moves: list[Move] = []
     turn, ahead, back = 0.0, 0.0, False
     for here, there in pairwise(path):
-        motion = matcher.motion(
-            graph.described[here : here + 1], graph.described, there, graph.size, graph.field_of_view
-        )
+        motion = graph.motion(matcher, here, there)
         turned = 0.0 if motion is None else motion.turned
         in_time = abs(there - here) == 1 and graph.parts[here] == graph.parts[there]
         seconds = abs(float(graph.times[there] - graph.times[here])) if in_time else 0.0
