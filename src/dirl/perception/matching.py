@@ -57,6 +57,9 @@ LEAST = 8
 SCALE = 256.0
 """Of vectors of unit length as int8."""
 
+Matches = tuple[NDArray[np.float32], NDArray[np.float32]]
+"""Pixels of points of two views that are each other's best match, ``[P, 2]`` each."""
+
 PointFinder = Callable[[NDArray[np.uint8]], tuple[NDArray[np.float32], NDArray[np.float32]]]
 """Positions, pixels ``[P, 2]``, and vectors of unit length, ``[P, C]``, of the points of a view."""
 
@@ -138,15 +141,6 @@ class FrameMatcher(Protocol):
         self, seen: "Described", frames: "Described", frame: int, size: tuple[int, int], field_of_view: float
     ) -> Motion | None:
         """Return the motion to a frame, of so many pixels (height, width) and degrees; None if too few points agree."""
-
-
-class Matches(NamedTuple):
-    """Points of two views that are each other's best match."""
-
-    seen: NDArray[np.float32]
-    """Pixels in the one, ``[P, 2]``."""
-    other: NDArray[np.float32]
-    """Those in the other."""
 
 
 @dataclass
@@ -244,62 +238,60 @@ class Matcher:
         """The matches of the first view of ``seen`` with one of ``other``."""
         here, there = seen.points(0), other.points(view)
         if not len(here[0]) or not len(there[0]):
-            return Matches(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+            return here[0][:0], there[0][:0]
         alike = here[1] @ there[1].T
         best, partner = alike.max(1)
         mutual = (alike.argmax(0)[partner] == torch.arange(len(partner))) & (best > LIKE)
         if self.kind == "sift":
             second = alike.scatter(1, partner[:, None], -1).amax(1)
             mutual &= 1 - best < RATIO**2 * (1 - second)
-        return Matches(here[0][mutual.numpy()], there[0][partner[mutual].numpy()])
+        return here[0][mutual.numpy()], there[0][partner[mutual].numpy()]
 
     def agreeing(self, matches: Matches) -> float:
         """How many matches agree on the geometry of two views, and on that of a camera that only turned; their mean."""
-        if len(matches.seen) < LEAST:
+        if len(matches[0]) < LEAST:
             return 0.0
-        method, points = self._cv2.USAC_MAGSAC, (matches.seen, matches.other)
-        _, moved = self._fitted("findFundamentalMat", *points, method, EPIPOLAR, 0.99, 300)
-        _, turned = self._fitted("findHomography", *points, method, HOMOGRAPHY, maxIters=300)
-        return sum(0 if mask is None else int(mask.sum()) for mask in (moved, turned)) / 2
+        method = self._cv2.USAC_MAGSAC
+        _, moved = self._fitted("findFundamentalMat", *matches, method, EPIPOLAR, 0.99, 300)
+        _, turned = self._fitted("findHomography", *matches, method, HOMOGRAPHY, maxIters=300)
+        return (moved + turned) / 2
 
-    def _fitted(self, estimator: str, *points: Any, **options: Any) -> tuple[Any, Any]:
-        """Return the geometry that an estimator of OpenCV finds, and the mask of the points that agree; None without.
+    def _fitted(self, estimator: str, *points: Any, **options: Any) -> tuple[Any, int]:
+        """Return the geometry that an estimator of OpenCV finds, None without, and how many points agree.
 
         Where points leave it undetermined some versions (5.0) fail with an assertion.
         """
         try:
-            found: tuple[Any, Any] = getattr(self._cv2, estimator)(*points, **options)
+            found, mask = getattr(self._cv2, estimator)(*points, **options)
         except self._cv2.error:
-            return None, None
-        return found
+            return None, 0
+        return found, 0 if mask is None else int(mask.sum())
 
     def motion(
         self, seen: Described, frames: Described, frame: int, size: tuple[int, int], field_of_view: float
     ) -> Motion | None:
         """Return the turn to a frame; how far away it was taken two pictures do not tell. See `FrameMatcher.motion`."""
-        matches = self.match(seen, frames, frame)
-        if len(matches.seen) < 2 * LEAST:
+        points = self.match(seen, frames, frame)
+        if len(points[0]) < 2 * LEAST:
             return None
         height, width = size
         focal = width / 2 / np.tan(np.radians(field_of_view / 2))
         camera = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-        cv2, method = self._cv2, self._cv2.USAC_MAGSAC
-        points = matches.seen, matches.other
+        method = self._cv2.USAC_MAGSAC
         homography, turned = self._fitted("findHomography", *points, method, EPIPOLAR, maxIters=1000)
         essential, moved = self._fitted(
             "findEssentialMat", *points, camera, method=method, prob=0.999, threshold=EPIPOLAR / 2
         )
-        agree = [0 if mask is None else int(mask.sum()) for mask in (turned, moved)]
-        if max(agree) < 2 * LEAST:
+        if max(turned, moved) < 2 * LEAST:
             return None
         on_the_spot = False
-        if homography is not None and agree[0] >= 2 * LEAST:
+        if turned >= 2 * LEAST:
             left, stretch, right = np.linalg.svd(np.linalg.inv(camera) @ homography @ camera)
             rotation = left @ right * np.sign(np.linalg.det(left @ right))
             on_the_spot = bool(stretch.std() < ROTATION * stretch.mean())
         if not on_the_spot and essential is not None:
             # Of the two rotations of an essential matrix one is turned by half a circle about the way.
-            rotation = max(cv2.decomposeEssentialMat(essential[:3])[:2], key=np.trace)
+            rotation = max(self._cv2.decomposeEssentialMat(essential[:3])[:2], key=np.trace)
         return Motion(0.0, 0.0, float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2]))), on_the_spot)
 
     def likeness(

@@ -80,15 +80,6 @@ def test_another_hall_is_no_place_to_begin_or_to_go_to(graph, matcher):
     assert noise[-1] == "lost"
 
 
-def test_who_does_not_move_though_told_to_is_stuck(graph, matcher):
-    guide = dirl.Guide(graph, [look(11, 2.1, 90)], matcher)
-    said = [guide.see(look(5, 1.5, 0)).say for _ in range(8)]
-    assert "ahead" in said
-    assert "stuck" in said
-    guide = dirl.Guide(graph, [look(11, 2.1, 90)], matcher)
-    assert "stuck" not in [guide.see(look(3 + 0.7 * step, 1.5, 0)).say for step in range(8)]
-
-
 class Signs:
     """Compares frames by the sign in their first pixel, which says a place along a walk; hundreds are recordings."""
 

@@ -6,7 +6,6 @@ agree on one geometry, for a window of frames. A photo is found by `FrameMap.fin
 elsewhere. It holds photographs or frames of a game, by what compares them (`dirl.perception.matching.FrameMatcher`).
 """
 
-import math
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -187,8 +186,12 @@ class FrameMap:
             hypotheses.append(total)
         scores = np.max(hypotheses, 0) / len(each)
         frame = int(scores.argmax())
-        elsewhere = scores[~self.same_place(frame)]
-        return Found(frame, *decide(float(scores[frame]), float(elsewhere.max(initial=0)), self.scale), scores)
+        best, other = scores[frame], scores[~self.same_place(frame)].max(initial=0)
+        margin, points, constant = RIGHT
+        logit = margin * np.log((best + 3) / (other + 3)) + points * np.log(best + 1) + constant
+        probability = float(1 / (1 + np.exp(-logit)))
+        answer: Certainty = "certain" if probability >= CERTAIN else "uncertain"
+        return Found(frame, "not here" if best < self.scale.here else answer, probability, scores)
 
     def score(self, matcher: FrameMatcher, photo: Described) -> NDArray[np.float64]:
         """Return how well each frame and its neighbours fit one photo, ``[N]``."""
@@ -495,19 +498,3 @@ def distances_to(graph: csr_array, goal: int) -> tuple[NDArray[np.float64], NDAr
 def load_matcher(kind: str | None = None) -> FrameMatcher:
     """Return what describes and compares frames: by points of photographs (`Matcher`), or by ``columns`` of walls."""
     return load_column_net() if kind == "columns" else Matcher(kind)
-
-
-def decide(best: float, other: float, scale: Scale) -> tuple[Certainty, float]:
-    """Decide whether an answer can be trusted; the probability is that it is right.
-
-    Args:
-        best: score of the best frame.
-        other: that of the best frame at another place.
-        scale: of the points.
-    """
-    margin, points, constant = RIGHT
-    logit = margin * math.log((best + 3) / (other + 3)) + points * math.log(best + 1) + constant
-    probability = 1 / (1 + math.exp(-logit))
-    if best < scale.here:
-        return "not here", probability
-    return ("certain" if probability >= CERTAIN else "uncertain"), probability

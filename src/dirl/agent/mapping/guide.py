@@ -61,9 +61,8 @@ PATIENCE, PAUSE = 4, 2
 """Views without progress before another path is taken, for each frame of the path that is looked for; and before one
 does what the recording did next, though nothing of it is in sight."""
 
-SAME_VIEW, BLOCKED = 1.5, 3
-"""Mean difference of grey values between views of which the second was stopped by a wall; and after so many in a row
-another path is taken."""
+FORGOTTEN = 0.3
+"""Of what is known of where one is, what is given up by whoever has to wander about."""
 
 EVERYWHERE = 12
 """Of so many views one is compared with frames where one is unlikely to be."""
@@ -117,15 +116,6 @@ class Belief:
         np.maximum.at(belief, self._ends[:, 1], LINKED * self.of[self._ends[:, 0]])
         self.of = (1 - ELSEWHERE) * belief / belief.sum() + ELSEWHERE / count
 
-    def weigh(self, likelihood: NDArray[np.float64]) -> None:
-        """Weigh the frames by how likely what is seen is at each, ``[N]``."""
-        belief = self.of * likelihood
-        self.of = belief / belief.sum()
-
-    def forget(self, share: float) -> None:
-        """Mix with not knowing anything."""
-        self.of = (1 - share) * self.of + share / len(self.of)
-
     def frame(self) -> tuple[int, float]:
         """Return the present frame, and how likely one is around it."""
         around = int(np.convolve(self.of, np.ones(2 * AROUND + 1), "same").argmax())
@@ -170,8 +160,7 @@ class Guide:
         self._window = max(AHEAD, round(ON_THE_WAY / graph.spacing))
         self._steps: dict[tuple[int, int], float] = {}
         self._missed = MISSED
-        self._views, self._blocked, self._moving = 0, 0, False
-        self._last: NDArray[np.int64] | None = None  # the last view, small
+        self._views = 0
         self._since, self._least = 0, float("inf")  # views without progress, and the least way to the goal so far
         self._followed: list[int] = []
         self._arrived = 1.0  # least agreement with the photo
@@ -191,7 +180,7 @@ class Guide:
         self._missed = self._missed + 1 if best < least else 0
         if best < least:
             return Guidance("lost" if self._missed >= MISSED else "ahead", 0.0, here, sure)
-        if self._without_progress(here) or self._stopped(frame):
+        if self._without_progress(here):
             self._doubt(path)
             return Guidance("stuck", 0.0, here, sure)
         enough = max(least, NEARLY * best)
@@ -247,13 +236,14 @@ class Guide:
             some = np.argsort(-self.belief.of * likelihood)[:COMPARED]
             agreeing = self.matcher.fit(seen, self.graph.described, some.tolist()).score
             likelihood[some] *= (1 + agreeing / self.graph.scale.unit) ** 2
-        self.belief.weigh(likelihood)
+        belief = self.belief.of * likelihood
+        self.belief.of = belief / belief.sum()
         return seen
 
     def forget(self) -> None:
         """Doubt where one is and how far one came, as somebody must who has to wander about."""
-        self.belief.forget(0.3)
-        self._since, self._least, self._blocked = 0, float("inf"), 0
+        self.belief.of = (1 - FORGOTTEN) * self.belief.of + FORGOTTEN / len(self.graph)
+        self._since, self._least = 0, float("inf")
 
     def _path(self, here: int) -> list[int]:
         """The next frames of the path, those that may be in sight."""
@@ -293,7 +283,6 @@ class Guide:
         if motion.ahead > BEYOND:  # half to the heading of the frame, and half to where it was taken
             turn = (turn - float(np.degrees(np.arctan2(motion.right, motion.ahead)))) / 2
         say = "turn" if abs(turn) >= STRAIGHT and straight != "arrived" else straight
-        self._moving = say in ("ahead", "back")
         return Guidance(say, turn, here, sure, motion.ahead, motion.right, **facts)
 
     def _without_progress(self, here: int) -> bool:
@@ -301,14 +290,6 @@ class Guide:
         self._since = 0 if self._far[here] < self._least - 0.5 else self._since + 1
         self._least = min(self._least, float(self._far[here]))
         return self._since > PATIENCE * self._window
-
-    def _stopped(self, frame: NDArray[np.uint8]) -> bool:
-        """Return True if the view stays the same, though one was told to move."""
-        small = frame[::2, ::2].astype(int)
-        same = self._moving and self._last is not None and np.abs(small - self._last).mean() < SAME_VIEW
-        self._last, self._moving = small, False
-        self._blocked = self._blocked + 1 if same else 0
-        return self._blocked >= BLOCKED
 
     def _doubt(self, path: list[int]) -> None:
         """What did not lead on costs more; a goal that was reached in vain is given up for the next best."""
