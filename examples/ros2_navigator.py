@@ -62,7 +62,7 @@ class Pilot:
     def see_panorama(self, image: np.ndarray, taken: float, size: tuple[int, int], field_of_view: float) -> None:
         """Take an equirectangular image, uint8 RGB ``[H, 2 H, 3]``, and cut the four views out of it."""
         for side, yaw in zip(SIDES, (0, 90, 180, 270), strict=True):
-            self.see(side, cut([image], yaw, 0.0, size, field_of_view), taken)
+            self.see(side, cut([image], yaw, size, field_of_view), taken)
 
     def tick(self, now: float) -> None:
         """Go on, at the time ``now`` in seconds; to be called several times a second."""

@@ -238,7 +238,8 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
         "episodic_memory": group_options("episodic_memory", "planning"),
         "recogniser": group_options("recogniser", "ncc"),
     }
-    return load_trained(saved, options.checkpoint, changes | plans, options.trust or []), changes | plans
+    changes |= plans
+    return load_trained(saved, options.checkpoint, changes, options.trust or [], trained.protocol.world), changes
 
 
 def leave_pictures(trained: Trained, facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:

@@ -9,7 +9,7 @@
     python recipes/scenes.py build description=bathroom_02 out=bathroom.h5
     python recipes/scenes.py sample kind=bedroom seed=7 out=my_bedroom
     python recipes/scenes.py encode scene=room.h5 encoder=efficientnet_lite0 out=room_lite0.h5
-    python recipes/scenes.py export scene=bathroom_02 layout=icra17 out=icra17/bathroom_02.h5
+    python recipes/scenes.py export scene=bathroom_02 out=icra17/bathroom_02.h5
     python recipes/scenes.py import scene=data/bathroom_02.h5 source=thor out=bathroom_02.h5
     python recipes/scenes.py inspect scene=bathroom_02 out=pictures
 
@@ -17,14 +17,12 @@ The options of each command stand in its dataclass below, whose docstring is its
 """
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Annotated
 
 from dirl.cli.start import check_writable, new_file, run, start
 from dirl.config.options import Bounds, option
 from dirl.config.schemas import Correlation, Device, EncoderPrecision, Match, NotNegative, Positive, Seed
 
-Layout = StrEnum("Layout", ["icra17"])
 Pixels = Annotated[int, Bounds(16, 4096)]
 FieldOfView = Annotated[float, Bounds(10, 150)]
 Step = Annotated[float, Bounds(0.05, 10)]
@@ -212,7 +210,6 @@ class TourOptions(EncodedForGeneral):
     height: Pixels = option(OF_VIEW, 224)
     width: Pixels = option(OF_VIEW, 224)
     field_of_view: FieldOfView = option("horizontal, degrees", 75)
-    pitch: Annotated[float, Bounds(-80, 80)] = option("degrees that a view looks up, down if negative", 0)
 
 
 @dataclass
@@ -297,18 +294,17 @@ class EncodeOptions(EncodedPatches):
 
 @dataclass
 class ExportOptions:
-    """Write a scene in the layout that other navigation code reads: raw views, float32 features, -1 marks.
+    """Write a scene in the layout of the published navigation code: raw views, float32 features, -1 marks.
 
     Examples:
         python recipes/scenes.py export scene=bathroom_02 out=icra17/bathroom_02.h5
-        python recipes/scenes.py export scene=my_office.h5 layout=icra17 out=my_office_icra17.h5
+        python recipes/scenes.py export scene=my_office.h5 out=my_office_icra17.h5
     docs/howto/make_scenes.md tells more.
     """
 
     scene: str = option("a dump (.h5), or a built-in room")
     source: str = option("rooms | a YAML file of your own, which names a class that finds scenes", "rooms")
     out: str = option("the file to write (.h5)")
-    layout: Layout = option("that of the published target-driven navigation code", Layout.icra17)
 
 
 @dataclass
@@ -471,20 +467,19 @@ def tour(options: TourOptions) -> None:
         "\n".join([f"{found.origin}: {len(found.panoramas)} panoramas", *(f"- {note}" for note in made.notes)]),
         flush=True,
     )
-    camera: dict[str, Any] = {"field_of_view": options.field_of_view, "pitch": options.pitch}
     images = [panorama.image for panorama in found.panoramas]
     size = (options.height, options.width)
-    cutting = cut_views(images, list(made.yaws), size=size, **camera)
+    cutting = cut_views(images, list(made.yaws), size=size, field_of_view=options.field_of_view)
     views = list(tqdm(cutting, total=len(made.scene), desc="views", disable=None))
     along = None
     if encoder is not None:
         shown = np.isfinite(made.arrows)
         arrows = [yaws[seen] for yaws, seen in zip(made.arrows, shown, strict=True)]
-        cutting = cut_views(images, arrows, size=size, field_of_view=ALONG, pitch=options.pitch)
+        cutting = cut_views(images, arrows, size=size, field_of_view=ALONG)
         features, _ = encode_all(encoder, map(decode, cutting), int(shown.sum()), found.origin)
         along = np.zeros((len(made.scene), features.shape[1]), np.float16)
         along[shown.ravel()] = features
-    about = {**camera, "positions": "layout" if made.layout else "given"}
+    about = {"field_of_view": options.field_of_view, "positions": "layout" if made.layout else "given"}
     write_encoded(out, made.scene, views, encoder, about, along)
 
 

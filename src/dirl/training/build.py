@@ -333,6 +333,7 @@ def load_trained(
     origin: str,
     changes: Mapping[str, Any] | None = None,
     trust: Collection[str] = (),
+    world: World | None = None,
 ) -> Trained:
     """Return the policy of a checkpoint, in the world of its configuration.
 
@@ -341,6 +342,7 @@ def load_trained(
         origin: where it stood, for errors.
         changes: options to replace in its configuration, by dotted name.
         trust: packages whose classes it may name, see `dirl.config.components.find_class`.
+        world: the same as it was made before; it is read if left out.
 
     Raises:
         ConfigError: the configuration, or what it makes, cannot be used; or the weights do not fit.
@@ -360,8 +362,9 @@ def load_trained(
     rooms = None if "scene" in given else collection_folder(config.scene or [])
     if rooms is not None and not rooms.is_dir():
         raise ConfigError(f"{origin}: its training rooms, {rooms}, are not here; say where to evaluate it: scene=...")
-    world = build_world(config, saved["extractor"])
-    tell_of_turns(turns_of_training(saved), turns_of(world.scenes), origin)
+    if world is None:
+        world = build_world(config, saved["extractor"])
+        tell_of_turns(turns_of_training(saved), turns_of(world.scenes), origin)
     held_out = build_goals(config, world.scenes).held_out
     if seed is not None:
         config = replace(config, seed=seed)

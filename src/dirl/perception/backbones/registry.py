@@ -171,31 +171,34 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     enough = scene.extractor == extractor and (scene.patches is not None or not patches)
     if enough or scene.views is None:
         return scene
-    name = packaged_encoder(extractor)
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # "~" itself where nobody has a home
+    kept = None
+    if isinstance(scene.views, FileViews):
+        wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
+        kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
+        with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew
+            found = read_dump(kept)
+            if found.extractor == extractor and len(found) == len(scene) and (found.patches is not None or not patches):
+                return replace(scene, features=found.features, patches=found.patches, along=along, extractor=extractor)
+    name = packaged_encoder(extractor)  # compares weights, which takes longer than reading what was kept
     if name is None:
         return scene
+    if kept is not None:
+        print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
     fine = patches and name == LITE  # single photos are recognised by them
     encoder = load_encoder(name, patches=patches, fine_patches=fine)
-    if not isinstance(scene.views, FileViews):
-        features, parts = encode_scene(scene, encoder)
-        return replace(scene, features=features, patches=parts, along=along, extractor=extractor)
-    wanted = f"{file_digest(scene.views.path)} {extractor} {patches} {fine}"
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # "~" itself where nobody has a home
-    kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
-    with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew
-        found = read_dump(kept)
-        if found.extractor == extractor and len(found) == len(scene) and (found.patches is not None or not patches):
-            return replace(scene, features=found.features, patches=found.patches, along=along, extractor=extractor)
-    print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
     features, parts = encode_scene(scene, encoder)
+    made = replace(scene, features=features, patches=parts, along=along, extractor=extractor)
+    if kept is None:
+        return made
     try:
         if home.startswith("~"):
             raise SceneError("this user has no home directory; XDG_CACHE_HOME names a folder")
-        made = Scene(scene.name, scene.graph, scene.positions, scene.headings, features, patches=parts)
-        write_dump(kept, made, feature_attributes=encoder.attributes, patch_attributes=encoder.patch_attributes)
+        plain = Scene(scene.name, scene.graph, scene.positions, scene.headings, features, patches=parts)
+        write_dump(kept, plain, feature_attributes=encoder.attributes, patch_attributes=encoder.patch_attributes)
     except (SceneError, OSError) as error:
         print(f"not kept: {error}", flush=True)
-    return replace(scene, features=features, patches=parts, along=along, extractor=extractor)
+    return made
 
 
 def encode_all(

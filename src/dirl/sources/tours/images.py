@@ -143,13 +143,13 @@ def density(size: tuple[int, int], field_of_view: float) -> float:
     return float(size[1] / 2 / np.tan(np.radians(field_of_view / 2)))
 
 
-def cut(pixels: list[Pixels], yaw: float, pitch: float, size: tuple[int, int], field_of_view: float) -> Pixels:
-    """Return a view out of the pixels of `read_panorama`, uint8 ``[height, width, 3]``.
+def cut(pixels: list[Pixels], yaw: float, size: tuple[int, int], field_of_view: float) -> Pixels:
+    """Return a level view out of the pixels of `read_panorama`, uint8 ``[height, width, 3]``.
 
-    It looks ``yaw`` degrees clockwise from the middle of the image (of the front face) and ``pitch`` up; the field of
-    view is horizontal, degrees.
+    It looks ``yaw`` degrees clockwise from the middle of the image (of the front face); the field of view is
+    horizontal, degrees.
     """
-    return sample(pixels, _directions(np.radians(yaw), np.radians(pitch), size, density(size, field_of_view)))
+    return sample(pixels, _directions(np.radians(yaw), size, density(size, field_of_view)))
 
 
 def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
@@ -174,16 +174,14 @@ def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
     return found
 
 
-def _directions(yaw: float, pitch: float, size: tuple[int, int], focal: float) -> NDArray[np.float64]:
+def _directions(yaw: float, size: tuple[int, int], focal: float) -> NDArray[np.float64]:
     """Unit vectors of a view's pixels: right, up and ahead of the panorama's middle, float64 ``[3, height, width]``.
 
-    The view looks ``yaw`` clockwise from that middle and ``pitch`` up, radians; ``focal`` is its focal length, pixels.
+    The view looks ``yaw`` clockwise from that middle, radians; ``focal`` is its focal length, pixels.
     """
     height, width = size
     right, down = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
-    up = -down * np.cos(pitch) + focal * np.sin(pitch)
-    ahead = focal * np.cos(pitch) + down * np.sin(pitch)
-    turned = np.stack([right * np.cos(yaw) + ahead * np.sin(yaw), up, ahead * np.cos(yaw) - right * np.sin(yaw)])
+    turned = np.stack([right * np.cos(yaw) + focal * np.sin(yaw), -down, focal * np.cos(yaw) - right * np.sin(yaw)])
     return turned / np.linalg.norm(turned, axis=0)
 
 
@@ -215,7 +213,6 @@ def cut_views(
     *,
     size: tuple[int, int],
     field_of_view: float,
-    pitch: float = 0.0,
 ) -> Iterator[bytes]:
     """Yield the views of all panoramas, one after the other, as WebP.
 
@@ -224,7 +221,6 @@ def cut_views(
         yaws: where the views of each of them look, degrees clockwise from its middle, P of float64 ``[K]``.
         size: height and width in pixels.
         field_of_view: horizontal, degrees.
-        pitch: degrees up.
 
     Raises:
         SceneError: an image cannot be read; raised when its turn comes.
@@ -232,4 +228,4 @@ def cut_views(
     for image, of_image in zip(images, yaws, strict=True):
         pixels = read_panorama(image, density(size, field_of_view))
         for yaw in of_image.tolist():
-            yield encode(cut(pixels, yaw, pitch, size, field_of_view), QUALITY)
+            yield encode(cut(pixels, yaw, size, field_of_view), QUALITY)
