@@ -3,13 +3,10 @@
 from functools import partial
 
 import pytest
-from commands import room_file, train_config
-from parts import make_parts
+from commands import train_config
 from refusals import refused
 
 from dirl.config.files import MAX_CHARACTERS, config_text, group_options, read_config
-from dirl.models import plain_weights
-from dirl.training.build import load_trained
 
 refusal = partial(refused, ".", read_config)
 
@@ -41,15 +38,6 @@ def test_what_could_read_the_environment_or_run_or_grow_is_refused():
     refusal("scene: !!python/object/apply:os.system ['true']", "here")
     refusal("scene: " + "[" * 5000, "here")
     assert "trust=[os]" in refusal(text.replace("dirl.models.SiameseEncoder", "os.system"), "here")
-
-
-def test_weights_that_do_not_fit_are_refused_in_one_line(tmp_path):
-    room = room_file(tmp_path)
-    parts = make_parts(f"scene={room}", "encoder.width=8", "heads.width=8")
-    weights, other = plain_weights(parts.policy), train_config(f"scene={room}", "encoder.width=16", "heads.width=16")
-    saved = {"network": weights, "config": config_text(other), "scenes": ["grid"], "frames": 0}
-    saved["extractor"] = parts.world.scenes[0].extractor
-    refused("here: the weights do not fit the network of its configuration", load_trained, saved, "here")
 
 
 def test_a_choice_is_a_file_of_the_group_or_of_ones_own(tmp_path):

@@ -108,9 +108,3 @@ def test_each_row_goes_through_the_layer_of_its_scene(layers, scene, late, monke
 def test_a_scenes_weights_carry_its_name():
     assert "value.scenes.kitchen.weight" in ActorCriticHeads(SCENES, 5, 4, 3).state_dict()
     assert "scenes.v1_0.weight" in SceneTrunks(["v1.0"], lambda: nn.Linear(1, 1)).state_dict()
-
-
-@pytest.mark.parametrize("make", [lambda names: SceneLinear(names, 2, 2), lambda names: ActorCriticHeads(names, 2, 2)])
-def test_names_that_differ_only_in_dots_and_underscores_are_refused(make):
-    with pytest.raises(ValueError, match="must differ by more than dots and underscores"):
-        make(["v1.0", "v1_0"])

@@ -52,7 +52,8 @@ def test_where_views_return_an_agent_that_localises_plans_unless_something_is_as
     protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), memory=memory())
     asked = []
 
-    def load(saved, origin, changes, trust):
+    def load(saved, origin, changes, trust, world=protocol.world):
+        assert world is protocol.world  # is not read twice
         asked.append(changes)
         return Trained(None, None, protocol)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from refusals import refused
 
-from dirl.runs.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
+from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 
 STATE = {
     "frames": 7,
@@ -73,16 +73,3 @@ def test_an_archive_that_would_unpack_to_more_is_refused(file, monkeypatch):
     monkeypatch.setattr("dirl.runs.checkpoints.torch.save", lambda _, stream: stream.write(packed.getvalue()))
     save_checkpoint(file, {})
     refused("its parts are larger than the file", load_checkpoint, file)
-
-
-def test_an_unfinished_runs_folder_gives_its_latest_whole_checkpoint(tmp_path, capsys):
-    for frames in (10, 20):
-        save_checkpoint(tmp_path / "checkpoints" / f"{frames:012d}.pt", STATE | {"frames": frames})
-    newest = tmp_path / "checkpoints" / f"{20:012d}.pt"
-    (tmp_path / "checkpoints" / ".unfinished-0.pt").touch()
-    assert load_checkpoint(tmp_path)["frames"] == 20
-    newest.write_bytes(b"")
-    assert load_checkpoint(tmp_path)["frames"] == 10
-    assert capsys.readouterr().err.endswith(f"going back to the one before, {10:012d}.pt\n")
-    assert latest_checkpoint(tmp_path)[1] == [newest]
-    refused("holds no checkpoint", load_checkpoint, tmp_path / "nowhere")

@@ -68,11 +68,6 @@ def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
         refused("SHA256SUMS: is not the list of hashes that was installed", load_scenes, "bathroom_02")
 
 
-def test_an_unknown_scene_lists_the_choices():
-    refused(r"^there is no scene 'bathroom_2' \(did you mean 'bathroom_02'\?\); choose", load_scenes, "bathroom_2")
-    refused(r"^no/such/file\.h5: there is no such file", load_scenes, "no/such/file.h5")
-
-
 def test_a_source_has_choices_and_a_folder_of_its_own(folder):
     refused(r"^there is no source 'habitat'; choose one of \['rooms', 'thor'\]", load_scenes, "all", source="habitat")
     refused(
@@ -102,10 +97,3 @@ def test_rooms_are_read_by_seed_and_split(collection):
         load_scenes(f"collection:{collection}", split="validation")
     with pytest.raises(SceneError, match="is no collection; it holds no rooms such as bathroom_30000"):
         load_scenes(f"collection:{collection.parent}")
-
-
-def test_a_damaged_room_is_named(collection):
-    data = bytearray((collection / "bedroom_30001.h5").read_bytes())
-    data[-9] ^= 1
-    (collection / "bedroom_30001.h5").write_bytes(data)
-    refused(r"bedroom_30001\.h5: ", load_scenes, f"collection:{collection}")

@@ -1,18 +1,17 @@
 """Scenes whose states have several looks: in memory, in files, in worlds, in the environment."""
 
-import h5py
 import numpy as np
 import pytest
 import torch
 from policies import run_episodes
-from rooms import grid_scene, read_here
+from rooms import grid_scene
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import RandomPolicy
-from dirl.scenes import SceneError, make_world, write_dump
+from dirl.scenes import SceneError, make_world
 
 
 @pytest.fixture
@@ -39,18 +38,6 @@ def test_the_view_id_of_a_look_is_the_look_times_the_states_and_the_state(scenes
     with pytest.raises(SceneError, match=r"different numbers of looks, \[1, 2, 3\]"):
         make_world([scenes[0], grid_scene(name="c", patches=True, looks=1), grid_scene(name="d", patches=True)])
     assert world.pictures(1).tolist() == [look * 40 + 24 + state for look in range(3) for state in range(16)]
-
-
-def test_looks_are_kept_in_a_dump_guarded_by_its_digest(scenes, tmp_path):
-    write_dump(tmp_path / "a.h5", scenes[0])
-    read = read_here(tmp_path / "a.h5")
-    assert read.looks == 3
-    assert np.array_equal(read.look_features, scenes[0].look_features)
-    assert np.array_equal(read.look_patches, scenes[0].look_patches)
-    with h5py.File(tmp_path / "a.h5", "r+") as file:
-        file["look_feature"][1, 3, 5] = 0.125
-    with pytest.raises(SceneError, match="does not hold what was written"):
-        read_here(tmp_path / "a.h5")
 
 
 @pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])

@@ -16,12 +16,12 @@ from dirl.agent.decisions import observe
 from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
-from dirl.models import FeatureTable, ObservationTable, plain_weights, recurrent_keys
+from dirl.models import FeatureTable, ObservationTable, recurrent_keys
 from dirl.models.build import build_policy
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import SceneError, write_dump
 from dirl.scenes.world import make_world
-from dirl.training.build import build_env, build_goals, build_world, learning_policy, load_trained, trained_policy
+from dirl.training.build import build_env, build_goals, build_world, learning_policy, load_trained
 from dirl.training.job import tell_of_far_goals
 
 SMALL = ["encoder.width=8", "heads.width=8"]
@@ -102,13 +102,6 @@ def test_goals_that_few_states_reach_are_told(capsys):
     assert capsys.readouterr().out.endswith("whose success rates count those alone: 0 (from 4 of 24)\n")
     tell_of_far_goals(make_world([room]))
     assert not capsys.readouterr().out
-
-
-def test_features_of_another_extractor_are_refused(tmp_path):
-    parts = make_parts(f"scene={room_file(tmp_path)}", *SMALL)
-    saved = {"network": plain_weights(parts.policy), "scenes": ["grid"], "extractor": "CLIP"}
-    with pytest.raises(ConfigError, match="here: was trained on features of another extractor: 'CLIP', not 'random'"):
-        trained_policy(saved, "here", parts.config, parts.world, parts.observation)
 
 
 def test_a_machine_without_a_gpu_is_told(tmp_path, monkeypatch):

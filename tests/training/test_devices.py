@@ -6,8 +6,8 @@ from commands import TINY, room_file
 from elsewhere import DEVICE, Elsewhere, device_elsewhere
 from parts import make_parts, train_in
 
+from dirl.agent.decisions import answers
 from dirl.config.schemas import Device
-from dirl.evaluation.protocol import action_values
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
 from dirl.training.build import load_trained
@@ -53,9 +53,7 @@ def test_a_policy_trained_on_the_cpu_walks_alike_on_another_device(tmp_path, els
     for device in ("cpu", "cuda"):
         _, policy, protocol = load_trained(load_checkpoint(tmp_path / "run"), "run", {"device": device})
         episodes = protocol.run(policy)
-        found.append(
-            [*action_values(policy, protocol.world, protocol.observation, 0), episodes.steps, episodes.success]
-        )
+        found.append([*answers(policy, protocol.world, protocol.observation, 0), episodes.steps, episodes.success])
     assert all(isinstance(one, Elsewhere) for one in found[1])
     assert all(torch.equal(one, there.cpu()) for one, there in zip(*found, strict=True))
 

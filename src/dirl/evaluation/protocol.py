@@ -7,11 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
-from dirl.agent.decisions import answers
 from dirl.config.components import tried
-from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, Metric, shortest_episodes
 from dirl.evaluation.episodes import EvaluationProtocol as EvaluationProtocol
 from dirl.evaluation.experts import RandomPolicy
@@ -69,14 +67,6 @@ def mean_shortest(world: World) -> list[float]:
     """Return the length of the shortest path to each goal, averaged over the states that reach it."""
     blocks = [world.block(world.distances, goal) for goal in range(len(world.goals))]
     return [block[block > 0].double().mean().item() for block in blocks]
-
-
-def action_values(
-    policy: nn.Module, world: World, observation: SurroundingViews, goal_index: int
-) -> tuple[Tensor, Tensor]:
-    """Probabilities ``[n, 4]`` and state value ``[n]`` on the way to a goal, in its scene's states; see `answers`."""
-    logits, values = answers(policy, world, observation, goal_index)
-    return logits.softmax(-1), values
 
 
 def metrics(episodes: Episodes) -> dict[str, float]:

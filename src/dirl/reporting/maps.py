@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Wedge
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import softmax
 
 from dirl.reporting.style import draw_room, star, write_figure
 from dirl.scenes import Scene
@@ -27,7 +28,7 @@ MAP_WIDTH, LEGEND_HEIGHT = 4.8, 0.5
 def draw_policy(
     scene: Scene,
     goal: int,
-    probabilities: ArrayLike,
+    logits: ArrayLike,
     value: ArrayLike,
     matching: ArrayLike,
     file: Path,
@@ -42,7 +43,7 @@ def draw_policy(
     Args:
         scene: N states.
         goal: a state of the scene; the policy's, the value's and the matching's.
-        probabilities: of the actions in each state, float ``[N, 4]`` in the order of `dirl.scenes.ACTIONS`.
+        logits: of the actions in each state, float ``[N, 4]`` in the order of `dirl.scenes.ACTIONS`.
         value: of each state, float ``[N]``.
         matching: of each state with the goal, float ``[N]``, see `dirl.perception.recognition.matching.TemplateStop`.
         file: the image to write.
@@ -53,7 +54,8 @@ def draw_policy(
         ValueError: the goal is no state that can be reached.
     """
     scene.check_goal(goal)
-    chances, values, scores = (np.asarray(each, float) for each in (probabilities, value, matching))
+    chances = softmax(np.asarray(logits, float), 1)
+    values, scores = (np.asarray(each, float) for each in (value, matching))
     side, half = scene.step_length, 180 / turns_per_circle(scene.graph)
     directions = scene.directions
     wedges = [

@@ -7,8 +7,9 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import nn
 
+from dirl.agent.decisions import answers
 from dirl.envs.rendering import RoomMap
-from dirl.evaluation.protocol import EvaluationProtocol, action_values
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.tables import run_title
@@ -57,11 +58,11 @@ def draw_scene(
     file = folder / f"trajectories_{scene.name}.png"
     goal, walked, success, title = draw_paths(policy, protocol, index, file, facts=facts, count=count)
     write_gif(scene, goal, walked, folder / f"episode_{scene.name}.gif", title=title, success=success)
-    probabilities, value = action_values(policy, world, protocol.observation, goal_index)
+    logits, value = answers(policy, world, protocol.observation, goal_index)
     draw_policy(
         scene,
         goal,
-        probabilities.cpu(),
+        logits.cpu(),
         value.cpu(),
         world.block(matching.scores(world), goal_index).cpu(),
         folder / f"maps_{scene.name}.png",

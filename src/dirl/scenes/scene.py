@@ -108,20 +108,14 @@ class Scene:
                 f"{self.origin}: location: state {state} is at {positions[state].tolist()} but the state to its right, "
                 f"{turned[state]}, is at {positions[turned[state]].tolist()}; a turn must not move the agent"
             )
-        self._check_views(states)
+        if self.views is not None and len(self.views) != states:
+            raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
+        if self.views is not None and not isinstance(self.views, FileViews):  # a file's are checked when they are read
+            check_image(np.asarray(self.views[0]), f"{self.origin}: views[0]")
         for name, array in arrays.items():
             object.__setattr__(self, name, _read_only(array))
         for goal in self.goals:
             self.check_goal(goal)
-
-    def _check_views(self, states: int) -> None:
-        """Raise `SceneError` unless there is a view for each state; of views that are no file's one is looked at."""
-        if self.views is None:
-            return
-        if len(self.views) != states:
-            raise SceneError(f"{self.origin}: {len(self.views)} views for {states} states")
-        if not isinstance(self.views, FileViews):
-            check_image(np.asarray(self.views[0]), f"{self.origin}: views[0]")
 
     def __repr__(self) -> str:
         features = "no features" if self.features is None else f"features [{', '.join(map(str, self.features.shape))}]"

@@ -192,6 +192,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
     graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
     looks = _looks(scenes)
     features = np.concatenate(_look_by_look(scenes, "features", looks), dtype=np.float32)
+    along = [scene.along for scene in scenes if scene.along is not None]
     return World(
         scenes=tuple(_sharing(scene, features[offset : offset + len(scene)]) for scene, offset in parts),
         offsets=offsets,
@@ -199,7 +200,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
         features=torch.from_numpy(features),
         patches=_patches(scenes, looks),
-        along=_along(scenes),
+        along=torch.from_numpy(np.concatenate(along, dtype=np.float32)) if len(along) == len(scenes) else None,
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         turns=torch.tensor([turns_per_circle(scene.graph) for scene in scenes]),
         **_goal_tables(scenes, offsets, chosen),
@@ -240,12 +241,6 @@ def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
     if len(shapes) > 1:
         raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
     return torch.from_numpy(np.concatenate(_look_by_look(scenes, "patches", looks)))
-
-
-def _along(scenes: Sequence[Scene]) -> Tensor | None:
-    """Return the features along the arrows of all scenes, one behind the other."""
-    found = [scene.along for scene in scenes if scene.along is not None]
-    return torch.from_numpy(np.concatenate(found, dtype=np.float32)) if len(found) == len(scenes) else None
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:
