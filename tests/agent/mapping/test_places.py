@@ -26,7 +26,7 @@ from dirl.perception.recognition.matching import TemplateStop
 from dirl.perception.recognition.tables import VisitScores
 from dirl.scenes import make_world
 from dirl.scenes.graph import AHEAD, BACK
-from dirl.scenes.io.digest import sealed
+from dirl.scenes.io.atomic import sealed
 
 SIZE = {"feature_width": 64, "patches": True, "looks": 3}
 

@@ -6,7 +6,7 @@ import pytest
 from rooms import grid_scene, read_here
 
 from dirl.scenes import SceneError, write_dump
-from dirl.scenes.io.digest import compute_digest
+from dirl.scenes.io.hdf5 import compute_digest
 from dirl.scenes.io.write import export_icra17
 from dirl.scenes.views import encode
 

@@ -9,7 +9,7 @@ from malformed import hollow, instead, make, picture, refused, views
 from rooms import grid_scene, read_here
 
 from dirl.scenes.io import hdf5
-from dirl.scenes.io.digest import write_digest
+from dirl.scenes.io.hdf5 import write_digest
 
 HUGE = 2**40
 """More states than any machine can hold; a chunked dataset of that size takes no room on the disk."""

@@ -16,9 +16,8 @@ from dirl.models.localising import Places
 from dirl.perception.recognition.build import recogniser_name
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.scenes.graph import ACTIONS
-from dirl.scenes.io.atomic import atomic_path, write_json
+from dirl.scenes.io.atomic import atomic_path, check_seal, sealed, write_json
 from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, read_text
-from dirl.scenes.io.digest import check_seal, sealed
 
 MISSING = "needs a package that is not installed (safetensors): pip install 'dirl[maps]'"
 

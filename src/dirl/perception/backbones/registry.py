@@ -35,7 +35,7 @@ from dirl.perception.backbones.resnet import (
     shipped_backbone,
 )
 from dirl.scenes import Scene, SceneError, read_dump
-from dirl.scenes.io.digest import file_digest
+from dirl.scenes.io.atomic import file_digest
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.views import FileViews
 

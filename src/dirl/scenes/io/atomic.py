@@ -1,5 +1,6 @@
-"""Files that are complete or absent, even if the process is killed, the disk is full or the power fails."""
+"""Files that are complete or absent, even if the process is killed, the disk is full or the power fails; digests."""
 
+import hashlib
 import json
 import math
 import os
@@ -7,6 +8,9 @@ import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+DIGEST = "digest"
+"""The key in JSON, see `sealed`."""
 
 PREFIX = ".unfinished-"
 """What the names of temporary files begin with; only a killed process leaves one."""
@@ -72,3 +76,24 @@ def remove_unfinished(folder: Path) -> None:
     """Delete the temporary files that killed processes have left in a folder."""
     for file in folder.glob(f"{PREFIX}*"):
         file.unlink(missing_ok=True)
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, as hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def sealed(facts: Mapping[str, object], *contents: bytes) -> dict[str, object]:
+    """Facts to be written as JSON, with a digest over them and the contents of other files of their folder."""
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for content in contents:
+        digest.update(hashlib.sha256(content).digest())
+    return {**facts, DIGEST: digest.hexdigest()}
+
+
+def check_seal(facts: Mapping[str, object], *contents: bytes) -> None:
+    """Check what `sealed` added, ValueError if anything is not as it was written."""
+    plain = {key: value for key, value in facts.items() if key != DIGEST}
+    if facts != sealed(plain, *contents):
+        raise ValueError("its files are not those that were written: the digest differs")

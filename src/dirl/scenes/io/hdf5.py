@@ -1,13 +1,15 @@
-"""The content of a dump, read with libhdf5; `dirl.scenes.io.read` says what is in such a file.
+"""The content of a dump, read with libhdf5, and its digest; `dirl.scenes.io.read` says what is in such a file.
 
 Everything here also runs in a separate process, see `dirl.scenes.io.isolation`, and so does without torch. Errors do
 not name the file; the caller adds its name.
 """
 
+import hashlib
+import json
 import math
 import mmap
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.scenes.graph import ACTIONS, IntArray
-from dirl.scenes.io.digest import EXTRACTOR_ATTRIBUTES, blocks, check_digest
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PIXELS, ImageError, decode
 
@@ -34,6 +35,29 @@ AT_A_TIME = 256
 """Encoded views that are read from a dataset at once."""
 COLLECTIONS = 16
 """Of values of variable length, to which libhdf5 adds in turn (HDF5 file format, version 3, III.E)."""
+
+DATASETS = (
+    "graph",
+    "location",
+    "rotation",
+    "resnet_feature",
+    "patches",
+    "look_feature",
+    "look_patches",
+    "along_feature",
+    "shortest_path_distance",
+    "observation",
+    "observation_webp",
+)
+
+FILE_ATTRIBUTES = ("name", "source", "goals", "actions")
+EXTRACTOR_ATTRIBUTES = ("extractor", "preprocessing", "weights")
+PATCH_ATTRIBUTES = ("extractor", "projection")
+
+DIGEST = "digest"
+"""The attribute of a dump; ``graph`` has it too, for damage can also make attributes disappear."""
+
+BLOCK_BYTES = 2**24
 
 Contents = dict[str, Any]
 """Of a dump: arrays, texts and where large arrays lie, see `read_contents`."""
@@ -337,3 +361,59 @@ def check_view(data: bytes, where: str) -> None:
         decode(data)
     except ImageError as error:
         raise SceneError(f"{where} not a readable image ({error})") from None
+
+
+def write_digest(file: h5py.File) -> None:
+    """Store the digest of a file that is otherwise complete."""
+    file.attrs[DIGEST] = file["graph"].attrs[DIGEST] = compute_digest(file)
+
+
+def check_digest(file: h5py.File) -> bool:
+    """Compare a file with its digest, `SceneError` if they differ; False if it has none, as other programs' have."""
+    stored = [holder.attrs.get(DIGEST) for holder in (file, file["graph"])]
+    if stored == [None, None]:
+        return False
+    found = compute_digest(file)
+    if any(not isinstance(one, str) or one != found for one in stored):
+        raise SceneError(
+            "does not hold what was written to it: it is damaged, or was changed without dirl (then delete the "
+            f"attribute '{DIGEST}' of the file and of graph)"
+        )
+    return True
+
+
+def compute_digest(file: h5py.File) -> str:
+    """Return the SHA-256 over the datasets and attributes of a dump that are read, as hexadecimal digits.
+
+    It covers the names, types, shapes and values of `DATASETS`, the file's attributes `FILE_ATTRIBUTES`, the
+    `EXTRACTOR_ATTRIBUTES` of the features and the `PATCH_ATTRIBUTES` of patches; not how HDF5 stores them.
+    """
+    digest = hashlib.sha256()
+    digest.update(_attributes(file, FILE_ATTRIBUTES))
+    for name in DATASETS:
+        if name not in file:
+            continue
+        dataset = file[name]
+        digest.update(json.dumps([name, dataset.dtype.str, dataset.shape]).encode())
+        digest.update(_attributes(dataset, PATCH_ATTRIBUTES if name == "patches" else EXTRACTOR_ATTRIBUTES))
+        for rows in blocks(dataset):
+            values = dataset[rows]
+            for part in values if dataset.dtype.kind == "O" else [values]:
+                digest.update(part.nbytes.to_bytes(8, "little"))
+                digest.update(np.ascontiguousarray(part).data)
+    return digest.hexdigest()
+
+
+def blocks(dataset: h5py.Dataset) -> Iterator[slice]:
+    """Slices of a dataset's rows that can be read one after the other: of `BLOCK_BYTES`, or of a row of chunks."""
+    row_bytes = max(1, dataset.dtype.itemsize * math.prod(dataset.shape[1:]))
+    step = max(1, BLOCK_BYTES // row_bytes)
+    if dataset.chunks is not None:  # a chunk that two blocks share would be unpacked twice
+        step = max(step // dataset.chunks[0], 1) * dataset.chunks[0]
+    for start in range(0, len(dataset), step):
+        yield slice(start, min(start + step, len(dataset)))
+
+
+def _attributes(holder: h5py.File | h5py.Dataset, names: tuple[str, ...]) -> bytes:
+    values = {name: np.asarray(holder.attrs[name]).tolist() for name in names if name in holder.attrs}
+    return repr(values).encode("utf-8", "surrogateescape")

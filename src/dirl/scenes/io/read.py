@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dirl.scenes.io.digest import file_digest
+from dirl.scenes.io.atomic import file_digest
 from dirl.scenes.io.hdf5 import Contents, read_contents
 from dirl.scenes.io.isolation import read_apart
 from dirl.scenes.scene import Scene, SceneError, check_name

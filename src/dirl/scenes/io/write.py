@@ -10,8 +10,7 @@ from PIL import Image
 
 from dirl.scenes.graph import ACTIONS, shortest_distances
 from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.digest import write_digest
-from dirl.scenes.io.hdf5 import check_view
+from dirl.scenes.io.hdf5 import check_view, write_digest
 from dirl.scenes.scene import Scene, SceneError, check_name
 
 MOST_WITH_DISTANCES = 5_000
