@@ -70,6 +70,11 @@ RIGHT = 4.2, 1.1, -7.5
 CERTAIN = 0.95
 """Least probability of an answer that is called certain."""
 
+DESCRIBED = [field.name for field in fields(Described)]
+
+STORED = ("times", "parts", "links", "costs", "places", "field_of_view", "kind", "size")
+"""Of a map, as they are."""
+
 Certainty = Literal["certain", "uncertain", "not here"]
 
 
@@ -208,15 +213,10 @@ class FrameMap:
 
     def save(self, file: str | Path) -> None:
         """Write the map, as an ``.npz`` file."""
-        lengths = np.array([len(picture) for picture in self.pictures])
-        arrays = {field.name: getattr(self.described, field.name) for field in fields(Described)}
-        arrays |= {"times": self.times, "parts": self.parts, "links": self.links, "lengths": lengths}
-        arrays |= {"pictures": np.frombuffer(b"".join(self.pictures), np.uint8)}
-        arrays |= {"schema": np.int64(SCHEMA), "field_of_view": np.float64(self.field_of_view)}
-        arrays |= {"kind": np.array(self.kind), "size": np.array(self.size)}
-        for name, values in (("places", self.places), ("costs", self.costs)):
-            if values is not None:
-                arrays[name] = values
+        arrays: dict[str, Any] = {"schema": SCHEMA, "pictures": np.frombuffer(b"".join(self.pictures), np.uint8)}
+        arrays["lengths"] = [len(picture) for picture in self.pictures]
+        arrays |= dict(zip(DESCRIBED, self.described.arrays, strict=True))
+        arrays |= {name: getattr(self, name) for name in STORED if getattr(self, name) is not None}
         with atomic_path(Path(file)) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)
 
@@ -233,17 +233,13 @@ def load_frames_map(file: str | Path) -> FrameMap:
             raise MapError(f"{file}: is a map of another version; make it anew with dirl map")
         _check_arrays(arrays)
         pictures, ends = arrays["pictures"].tobytes(), np.cumsum(arrays["lengths"])
+        stored: dict[str, Any] = {name: arrays.get(name) for name in STORED}
+        stored |= {"field_of_view": float(arrays["field_of_view"]), "kind": str(arrays["kind"])}
+        stored |= {"size": tuple(arrays["size"].tolist())}
         graph = FrameMap(
-            [pictures[end - length : end] for end, length in zip(ends, arrays["lengths"], strict=True)],
-            arrays["times"],
-            arrays["parts"],
-            Described(*(arrays[field.name] for field in fields(Described))),
-            arrays["links"],
-            float(arrays["field_of_view"]),
-            str(arrays["kind"]),
-            (int(arrays["size"][0]), int(arrays["size"][1])),
-            arrays.get("places"),
-            arrays.get("costs"),
+            pictures=[pictures[end - length : end] for end, length in zip(ends, arrays["lengths"], strict=True)],
+            described=Described(*(arrays[name] for name in DESCRIBED)),
+            **stored,
         )
         if ends[-1] != len(pictures) or graph.spacing < 1e-3:
             raise ValueError("pictures or times")
@@ -321,7 +317,7 @@ def map_recordings(
     Raises:
         MapError: there are fewer than two frames, or they are of different shapes.
     """
-    grown = [bytearray() for _ in fields(Described)]  # which grow in place, so that a long recording is held once
+    grown = [bytearray() for _ in DESCRIBED]  # which grow in place, so that a long recording is held once
     last: list[NDArray[Any]] = []
     pictures: list[bytes] = []
     times: list[float] = []
