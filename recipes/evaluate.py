@@ -134,7 +134,7 @@ from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
-from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, shortest_move
+from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, repeats, shortest_move, state_pose
 from dirl.training.build import Trained, describe, load_trained
 
 MOST_EPISODES = 20_000
@@ -230,7 +230,7 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
     Correlation tells such views apart; a recogniser that allows for changes takes places of a maze for one.
     """
     trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
-    live = options.simulator is not None  # a navigator walks there, with its own memory
+    live = options.simulator is not None  # a navigator walks there, see `walk_live`
     asked = options.episodic_memory, options.recogniser, options.map
     if live or asked != (None, None, None) or not views_return(trained):
         return trained, changes
@@ -342,13 +342,18 @@ def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     encoder = packaged_encoder(scene.extractor)
     if encoder is None:
         raise RunError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
+    recogniser, memory = options.recogniser, options.episodic_memory
+    asked = recogniser is not None or memory is not None
+    # As in `loaded`: a simulator may show the same views again, unless the agent errs in its turns.
+    if not asked and not options.turn_error and views_return(trained) and repeats(world, state_pose(scene, 0)):
+        recogniser, memory = "ncc", "planning"
     navigator = Navigator.load(
         options.checkpoint,
         encoder,
         device=config.device,
         trust=options.trust,
-        recogniser=options.recogniser,
-        episodic_memory=options.episodic_memory,
+        recogniser=recogniser,
+        episodic_memory=memory,
         turns=turns,
     )
     navigator.threshold = config.stop.threshold

@@ -10,7 +10,7 @@ from field import Field
 
 from dirl.evaluation.live import Remembered, evaluate_live
 from dirl.scenes import load_scenes
-from dirl.scenes.live import Dumped, Noisy, Pose, Simulated
+from dirl.scenes.live import Dumped, Noisy, Pose, Simulated, repeats, state_pose
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +46,13 @@ def test_an_expert_takes_the_shortest_path(room):
     assert found.success.all()
     assert found.steps.tolist() == found.shortest.tolist()
     assert not (found.false_stop | found.missed_stop).any()
+
+
+def test_a_world_repeats_itself_if_a_pose_shows_the_same_views_again(room):
+    here = state_pose(room, 0)
+    assert repeats(Dumped(room), here)
+    views = iter(np.eye(2, dtype=np.uint8))
+    assert not repeats(SimpleNamespace(reset=lambda pose: None, views=lambda: next(views)), here)
 
 
 def test_who_slips_takes_longer(room):

@@ -65,6 +65,34 @@ def test_where_views_return_an_agent_that_localises_plans_unless_something_is_as
 
 
 @pytest.mark.parametrize(
+    ("same", "given", "chosen"),
+    [
+        (True, [], ("ncc", "planning")),
+        (False, [], (None, None)),
+        (True, ["turn_error=2"], (None, None)),
+        (True, ["recogniser=learned"], ("learned", None)),
+    ],
+)
+def test_live_an_agent_that_localises_plans_where_a_pose_shows_the_same_again(monkeypatch, same, given, chosen):
+    loaded = []
+
+    def load(*given, recogniser, episodic_memory, **other):
+        loaded.append((recogniser, episodic_memory))
+        raise LookupError
+
+    monkeypatch.setattr("dirl.agent.navigator.Navigator.load", load)
+    monkeypatch.setattr(evaluate, "packaged_encoder", lambda name: object())
+    monkeypatch.setattr(evaluate, "Dumped", lambda scene: None)
+    monkeypatch.setattr(evaluate, "repeats", lambda world, pose: same)
+    world = make_world([grid_scene(3, 2)])
+    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), memory=LocalisingMemory())
+    options = parse(evaluate.Options, ["checkpoint=run", "simulator=dump", *given])
+    with pytest.raises(LookupError):
+        evaluate.walk_live(Trained(SimpleNamespace(device="cpu"), None, protocol), options)
+    assert loaded == [chosen]
+
+
+@pytest.mark.parametrize(
     ("options", "told"),
     [
         (["last_steps=1"], "last_steps=1: only where a map leads; give map=2 too"),

@@ -219,6 +219,14 @@ def state_pose(scene: Scene, state: int) -> Pose:
     return Pose(x, z, float(scene.headings[state]))
 
 
+def repeats(world: LiveWorld, pose: Pose) -> bool:
+    """True if a world shows the same views, bit for bit, to an agent that is put at a pose twice."""
+    world.reset(pose)
+    before = world.views()
+    world.reset(pose)
+    return np.array_equal(before, world.views())
+
+
 def arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
     """True if a pose is within so many metres of another one, and turned away from it by so many degrees at most."""
     turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
