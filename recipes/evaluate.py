@@ -132,10 +132,11 @@ from dirl.perception.recognition.recogniser import NCC
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
+from dirl.scenes import World
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.atomic import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, repeats, shortest_move, state_pose
-from dirl.training.build import Trained, describe, load_trained
+from dirl.training.build import Trained, build_world, describe, load_trained, saved_config
 
 MOST_EPISODES = 20_000
 """Of an evaluation for which no starts are asked for."""
@@ -229,17 +230,18 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
 
     Correlation tells such views apart; a recogniser that allows for changes takes places of a maze for one.
     """
-    trained = load_trained(saved, options.checkpoint, changes, options.trust or [])
+    config = saved_config(saved, options.checkpoint, changes, options.trust or [])
+    world = build_world(config, saved["extractor"])
+    memory = make("episodic_memory", config.episodic_memory, config.trust)
     live = options.simulator is not None  # a navigator walks there, see `walk_live`
     asked = options.episodic_memory, options.recogniser, options.map
-    if live or asked != (None, None, None) or not views_return(trained):
-        return trained, changes
-    plans = {
-        "episodic_memory": group_options("episodic_memory", "planning"),
-        "recogniser": group_options("recogniser", "ncc"),
-    }
-    changes |= plans
-    return load_trained(saved, options.checkpoint, changes, options.trust or [], trained.protocol.world), changes
+    if not live and asked == (None, None, None) and views_return(memory, world):
+        plans = {
+            "episodic_memory": group_options("episodic_memory", "planning"),
+            "recogniser": group_options("recogniser", "ncc"),
+        }
+        changes = {**changes, **plans}
+    return load_trained(saved, options.checkpoint, changes, options.trust or [], world), changes
 
 
 def leave_pictures(trained: Trained, facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
@@ -279,9 +281,9 @@ def in_tours(trained: Trained) -> bool:
     return all(scene.source.startswith("tour") for scene in trained.protocol.world.scenes)
 
 
-def views_return(trained: Trained) -> bool:
+def views_return(memory: object, world: World) -> bool:
     """Return whether an agent that localises would be in scenes of one look, whose views return bit for bit."""
-    return isinstance(trained.protocol.memory, LocalisingMemory) and trained.protocol.world.looks == 1
+    return isinstance(memory, LocalisingMemory) and world.looks == 1
 
 
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:
@@ -345,7 +347,12 @@ def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     recogniser, memory = options.recogniser, options.episodic_memory
     asked = recogniser is not None or memory is not None
     # As in `loaded`: a simulator may show the same views again, unless the agent errs in its turns.
-    if not asked and not options.turn_error and views_return(trained) and repeats(world, state_pose(scene, 0)):
+    if (
+        not asked
+        and not options.turn_error
+        and views_return(protocol.memory, protocol.world)
+        and repeats(world, state_pose(scene, 0))
+    ):
         recogniser, memory = "ncc", "planning"
     navigator = Navigator.load(
         options.checkpoint,

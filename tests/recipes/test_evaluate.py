@@ -13,7 +13,7 @@ from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import LocalisingMemory, PlanningMemory
+from dirl.models import LocalisingMemory
 from dirl.scenes import make_world
 from dirl.training.build import Trained
 
@@ -37,31 +37,29 @@ def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, c
 @pytest.mark.parametrize(
     ("looks", "memory", "given", "plans"),
     [
-        (0, LocalisingMemory, [], True),
-        (2, LocalisingMemory, [], False),
-        (0, PlanningMemory, [], False),
-        (0, LocalisingMemory, ["recogniser=learned"], False),
-        (0, LocalisingMemory, ["map=2"], False),
-        (0, LocalisingMemory, ["simulator=dump"], False),
+        (0, "localising", [], True),
+        (2, "localising", [], False),
+        (0, "planning", [], False),
+        (0, "none", [], False),
+        (0, "localising", ["recogniser=learned"], False),
+        (0, "localising", ["map=2"], False),
+        (0, "localising", ["simulator=dump"], False),
     ],
 )
 def test_where_views_return_an_agent_that_localises_plans_unless_something_is_asked(
     monkeypatch, looks, memory, given, plans
 ):
     world = make_world([grid_scene(3, 2, looks=looks)])
-    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), memory=memory())
-    asked = []
-
-    def load(saved, origin, changes, trust, world=protocol.world):
-        assert world is protocol.world  # is not read twice
-        asked.append(changes)
-        return Trained(None, None, protocol)
-
-    monkeypatch.setattr(evaluate, "load_trained", load)
-    _, changes = evaluate.loaded({}, parse(evaluate.Options, ["checkpoint=run", *given]), {"seed": 1})
+    config = SimpleNamespace(episodic_memory=group_options("episodic_memory", memory), trust=[])
+    monkeypatch.setattr(evaluate, "saved_config", lambda *_: config)
+    monkeypatch.setattr(evaluate, "build_world", lambda *_: world)
+    monkeypatch.setattr(evaluate, "load_trained", lambda *given: given)
+    options = parse(evaluate.Options, ["checkpoint=run", *given])
+    (*_, asked, _, read), changes = evaluate.loaded({"extractor": "random"}, options, {"seed": 1})
+    assert read is world
     planning = {"episodic_memory": "planning", "recogniser": "ncc"}
     planning = {name: group_options(name, option) for name, option in planning.items()} if plans else {}
-    assert changes == asked[-1] == {"seed": 1, **planning}
+    assert changes == asked == {"seed": 1, **planning}
 
 
 @pytest.mark.parametrize(

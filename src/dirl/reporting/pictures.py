@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import nn
 
@@ -12,8 +11,7 @@ from dirl.envs.rendering import RoomMap
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.perception.recognition.matching import TemplateStop
 from dirl.reporting.maps import draw_policy
-from dirl.reporting.tables import run_title
-from dirl.reporting.trajectories import draw_trajectories, path_actions
+from dirl.reporting.trajectories import draw_paths, path_actions
 from dirl.runs.checkpoints import Summary
 from dirl.scenes import Scene
 from dirl.scenes.io.atomic import atomic_path
@@ -69,34 +67,6 @@ def draw_scene(
         title=title,
         threshold=matching.threshold,
     )
-
-
-def draw_paths(
-    policy: nn.Module,
-    protocol: EvaluationProtocol,
-    index: int,
-    file: Path,
-    *,
-    facts: Summary,
-    count: int = 5,
-) -> tuple[int, list[int], bool, str]:
-    """Draw greedy episodes to a scene's first goal, as `draw_scene` does.
-
-    Returns:
-        The goal, the path from the farthest start, whether it succeeded, and a title.
-    """
-    world, scene = protocol.world, protocol.world.scenes[index]
-    goal_index, offset = world.goals_in(index)[0], world.offsets[index]
-    distances = world.block(world.distances, goal_index).long()
-    order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())] + offset
-    starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]
-    episodes, paths = protocol.trajectories(policy, (torch.full_like(starts, goal_index), starts))
-    goal = int(world.goals[goal_index]) - offset
-    title = f"{run_title({**facts, 'scene': scene.name, 'source': scene.source})}, goal {goal}"
-    walked = [[state - offset for state in path] for path in paths]
-    success = episodes.success.tolist()
-    draw_trajectories(scene, goal, walked, file, success=success, title=title)
-    return goal, walked[0], success[0], title
 
 
 def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title: str, success: bool) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -17,8 +18,12 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from torch import nn
 
+from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.reporting.style import draw_room, marker, star, write_figure
+from dirl.reporting.tables import run_title
+from dirl.runs.checkpoints import Summary
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.graph import IntArray, places
 from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
@@ -84,6 +89,34 @@ def draw_trajectories(
     handles = _draw_map(main.subplots(), scene, goal, paths, success)
     side.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9, handlelength=3)
     write_figure(figure, file)
+
+
+def draw_paths(
+    policy: nn.Module,
+    protocol: EvaluationProtocol,
+    index: int,
+    file: Path,
+    *,
+    facts: Summary,
+    count: int = 5,
+) -> tuple[int, list[int], bool, str]:
+    """Draw greedy episodes to a scene's first goal, as `draw_scene` does.
+
+    Returns:
+        The goal, the path from the farthest start, whether it succeeded, and a title.
+    """
+    world, scene = protocol.world, protocol.world.scenes[index]
+    goal_index, offset = world.goals_in(index)[0], world.offsets[index]
+    distances = world.block(world.distances, goal_index).long()
+    order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())] + offset
+    starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]
+    episodes, paths = protocol.trajectories(policy, (torch.full_like(starts, goal_index), starts))
+    goal = int(world.goals[goal_index]) - offset
+    title = f"{run_title({**facts, 'scene': scene.name, 'source': scene.source})}, goal {goal}"
+    walked = [[state - offset for state in path] for path in paths]
+    success = episodes.success.tolist()
+    draw_trajectories(scene, goal, walked, file, success=success, title=title)
+    return goal, walked[0], success[0], title
 
 
 def path_actions(scene: Scene, path: Sequence[int]) -> list[str]:

@@ -348,7 +348,26 @@ def load_trained(
         ConfigError: the configuration, or what it makes, cannot be used; or the weights do not fit.
         SceneError: a scene or goal that does not exist or cannot be used.
     """
-    given = dict(changes or {})
+    config = saved_config(saved, origin, changes, trust)
+    if world is None:
+        world = build_world(config, saved["extractor"])
+    tell_of_turns(turns_of_training(saved), turns_of(world.scenes), origin)
+    held_out = build_goals(config, world.scenes).held_out
+    if changes and changes.get("seed") is not None:
+        config = replace(config, seed=changes["seed"])
+    observation = build_observation(config, world)
+    policy = trained_policy(saved, origin, config, world, observation)
+    return Trained(config, policy, build_protocol(config, world, observation, held_out))
+
+
+def saved_config(
+    saved: State, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] = ()
+) -> TrainConfig:
+    """Return the configuration of a checkpoint with the changes of `load_trained`, but for the seed.
+
+    Goals are sampled with the seed of the training: with another, trained ones would count as held out.
+    """
+    given = {name: value for name, value in (changes or {}).items() if name != "seed"}
     if "goals" in given:
         given.setdefault("hold_out", 0.0)
         given.setdefault("evaluation.goals", None)  # all that are named, though the run drew some of its own
@@ -356,21 +375,11 @@ def load_trained(
         # Of other rooms their own goals, from every start, unless something else is said.
         own = {"goals": None, "hold_out": 0.0, "evaluation.goals": None, "evaluation.starts": "every"}
         given = {"split": None, "rooms": None, **own, **given}
-    # Goals are sampled with the seed of the training: with another, trained ones would count as held out.
-    seed = given.pop("seed", None)
     config = read_config(saved["config"], origin, given, trust)
     rooms = None if "scene" in given else collection_folder(config.scene or [])
     if rooms is not None and not rooms.is_dir():
         raise ConfigError(f"{origin}: its training rooms, {rooms}, are not here; say where to evaluate it: scene=...")
-    if world is None:
-        world = build_world(config, saved["extractor"])
-        tell_of_turns(turns_of_training(saved), turns_of(world.scenes), origin)
-    held_out = build_goals(config, world.scenes).held_out
-    if seed is not None:
-        config = replace(config, seed=seed)
-    observation = build_observation(config, world)
-    policy = trained_policy(saved, origin, config, world, observation)
-    return Trained(config, policy, build_protocol(config, world, observation, held_out))
+    return config
 
 
 def learning_policy(
