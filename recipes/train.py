@@ -16,32 +16,31 @@ from dirl.cli.start import run, start
 if __name__ == "__main__":
     start(__doc__)  # "loading ...", or help; the imports below take their time
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import hydra
+import torch
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
+from torch import Tensor
 
 from dirl.config.folders import CONF
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import ActorCritic, caching, noisy
 from dirl.runs.folder import Run
 from dirl.training import hogwild
-from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
-from dirl.training.loops import TrainState, Updates, dagger_rounds, imitation_steps, updates, write_evaluation
+from dirl.training.loops import TrainState, Updates, cloning, dagger_rounds, imitation_steps, updates, write_evaluations
 from dirl.training.objectives import (
     bootstrap,
     clip_gradients,
-    demonstration_batches,
     make_advantages,
     minibatches,
     set_learning_rate,
     total_loss,
 )
 from dirl.training.pairs import Demonstrations
-from dirl.training.rollout import collect, summarise
+from dirl.training.rollout import Report, collect, report
 from dirl.training.stacked import Job, Stack, captured, run_together
 
 
@@ -55,44 +54,47 @@ def main(composed: DictConfig | list[Job]) -> Any:
 
 def train(run: Run, components: Components) -> dict[str, Any]:
     """Imitation, then reinforcement; returns what the summary says of them (paper section 3, algorithm 1)."""
-    found = imitation(run, components)
-    if components.state is None:
-        return found
     state = captured(run, components) if run.config.device == "cuda" else components.state
-    return reinforce(run, state, components.protocol)
+    found = imitation([run], [components], components.policy if state is None else state.policy)
+    return found if state is None else reinforce(run, state, components.protocol)
 
 
-def imitation(run: Run, components: Components) -> dict[str, Any]:
-    """Clone the expert (paper section 3.3), unless the run is beyond that; returns what the summary says of it."""
-    policy, demos, protocol = components.policy, components.demos, components.protocol
-    found: dict[str, Any] = {}
-    if components.before_reinforcement and len(demos):
-        step = imitate(run, policy, demos)
-        for labelled, frames in dagger_rounds(run, policy, protocol, demos):  # Ross et al. 2011; none by default
-            step = imitate(run, policy, labelled, step)
+def imitation(runs: Sequence[Run], every: Sequence[Components], policy: ActorCritic | Stack) -> dict[str, Any]:
+    """Clone the expert (paper section 3.3), unless the runs are beyond that; returns what the summary says of it.
+
+    The policy is that of one run, or a stack of several.
+    """
+    demos, protocols, found = [own.demos for own in every], [own.protocol for own in every], dict[str, Any]()
+    if not every[0].before_reinforcement:
+        return found
+    if len(demos[0]):
+        step = imitate(runs, policy, demos)
+        for labelled, frames in dagger_rounds(runs[0], every[0], demos[0]):  # Ross et al. 2011; none by default
+            step = imitate(runs, policy, [labelled], step)
             found = {"frames": frames, "demonstrations": len(labelled)}
-    if components.before_reinforcement and run.config.evaluation.times:
-        write_evaluation(run, policy, protocol, 0)
+    if runs[0].config.evaluation.times:
+        write_evaluations(runs, policy, protocols, 0)
     return found
 
 
-def imitate(run: Run, policy: ActorCritic, demos: Demonstrations, done: int = 0) -> int:
+def imitate(runs: Sequence[Run], policy: ActorCritic | Stack, demos: Sequence[Demonstrations], done: int = 0) -> int:
     """Clone the expert until its actions are learned (paper section 3.3); takes and returns the steps done so far."""
-    options = run.config.imitation
-    draw, trunk = demonstration_batches(policy, demos, options.batch_size), policy.trunk()
-    loss = build_imitation_loss(run.config, policy)
-    with imitation_steps(run, policy, done) as steps:
+    noise, compare = runs[0].config.imitation.noise, cloning(runs[0].config, policy, demos[0])
+    with imitation_steps(runs, policy, demos, done) as steps:
+
+        def step() -> Tensor:
+            with caching(policy), noisy(policy, noise):
+                result = compare()  # the policy with the expert, on a batch of demonstrations: equations 11 and 12
+            steps.optimiser.zero_grad()
+            result["loss_imitation"].sum().backward()
+            steps.optimiser.step()
+            return torch.stack([result["loss_imitation"], result["accuracy"]]).detach()
+
+        update = steps.prepared(step)  # of a stack on a GPU one CUDA graph
         while steps.goes_on:
             set_learning_rate(steps.optimiser, steps.lr)
-            rows = draw()
-            with noisy(policy, options.noise):
-                result = loss(trunk(rows.copy()))  # equations 11 and 12
-            steps.optimiser.zero_grad()
-            result["loss_imitation"].backward()
-            steps.optimiser.step()
-            steps.record(result["loss_imitation"].item(), result["accuracy"].item())
-    print(f"{len(demos)} demonstrations, {steps.step} steps of imitation: {steps.accuracy:.1%} of the actions learned")
-    return steps.step
+            steps.record(update())
+    return steps.members[0].step
 
 
 def reinforce(run: Run, state: TrainState | Stack, protocol: EvaluationProtocol) -> dict[str, Any]:
@@ -113,7 +115,7 @@ def learn(state: TrainState | Stack, loop: Updates) -> None:
     critic = operator.get_value_operator()
     by_agent = bool(state.losses.recurrent)  # a memory needs the steps of an agent together and in order
 
-    def step() -> tuple[TensorDictBase, TensorDictBase]:
+    def step() -> Report:
         with caching(policy):
             batch, agents = collect(state.env, operator, state.agents, options.n_steps)
             state.agents.update_(agents)
@@ -130,12 +132,12 @@ def learn(state: TrainState | Stack, loop: Updates) -> None:
                     stacked=state.stacked,
                 )
                 optimiser.step()
-        return batch, losses.set("gradient_norm", norm).detach()
+        return report(state.env, batch, losses.set("gradient_norm", norm).detach())
 
     update = state.prepared(step)  # of a stack on a GPU one CUDA graph
     while loop.goes_on:
         set_learning_rate(optimiser, optimiser.defaults["lr"] * state.left)  # falls linearly to 0
-        loop.record(summarise(state.env, *update()))
+        loop.record(update())
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ def train_in(folder, parts):
     state = begin(run, parts.policy, parts.losses, parts.protocol)
     run.begin(parts.world, parts.observation.order)
     if len(parts.demos):
-        imitate(run, parts.policy, parts.demos)
+        imitate([run], parts.policy, [parts.demos])
     result = reinforce(run, state, parts.protocol)
     run.finish({"frames": result["frames"], "network": plain_weights(parts.policy)}, {})
     return result
@@ -71,8 +71,8 @@ class Loop:
     def goes_on(self):
         return self.state.frames < self.total and not self.stop
 
-    def record(self, reports, paused=None):
-        (update,) = reports
+    def record(self, report, paused=None):
+        (update,) = report.read()
         with paused or nullcontext():
             self.state.count(update, 1.0)
         self.state.left.fill_(1 - self.state.frames / self.total)

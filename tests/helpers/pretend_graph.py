@@ -85,7 +85,8 @@ def pretend(monkeypatch):
         made.append(PretendGraph())
         return made[-1]
 
-    monkeypatch.setattr("dirl.training.stacked.reading_waits", lambda tensor: True)
+    for module in ("training.stacked", "training.loops", "models.policy"):
+        monkeypatch.setattr(f"dirl.{module}.reading_waits", lambda tensor: True)
     for name, value in {
         "CUDAGraph": graph,
         "graph": capture,

@@ -76,7 +76,7 @@ def clone(room, folder):
     run = Run(folder, room.config)
     run.begin(room.world, room.protocol.observation.order)
     torch.manual_seed(0)
-    imitate(run, room.policy, build_demonstrations(room.config, room.world, room.protocol.observation))
+    imitate([run], room.policy, [build_demonstrations(room.config, room.world, room.protocol.observation)])
     run.close()
     return room
 

@@ -72,9 +72,8 @@ def imitated(tmp_path, monkeypatch):
     def imitate_from(checkpoint=None):
         parts = make_parts(*options, "checkpoint.every_seconds=0")
         saved.clear()
-        steps = imitate(
-            Run(tmp_path, parts.config, checkpoint and {**checkpoint, "seconds": 0.0}), parts.policy, parts.demos
-        )
+        run = Run(tmp_path, parts.config, checkpoint and {**checkpoint, "seconds": 0.0})
+        steps = imitate([run], parts.policy, [parts.demos])
         return parts, steps, list(saved)
 
     return imitate_from

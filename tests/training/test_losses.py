@@ -17,7 +17,7 @@ from dirl.training.objectives import (
     minibatches,
     total_loss,
 )
-from dirl.training.rollout import collect, summarise
+from dirl.training.rollout import collect, report
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=30", "reinforcement.max_steps=9"]
 GRU = ["memory=gru", "memory.hidden_size=8"]
@@ -45,7 +45,7 @@ def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(room):
     parts = make_parts(room, *SMALL)
     batch, env = rollout(parts)
     losses = parts.losses(batch.reshape(-1), 1.0)
-    (update,) = summarise(env, batch, losses)
+    (update,) = report(env, batch, losses).read()
     goals, steps = [], []
     for step in range(20):
         for agent in range(30):

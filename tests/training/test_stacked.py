@@ -9,10 +9,11 @@ import torch
 from commands import TINY, room_file, train_config
 from parts import make_parts, train_state
 from pretend_graph import pretend
-from train import imitation, learn, train
+from train import imitate, imitation, learn, train
 
 from dirl.cli.parsing import compose_training
 from dirl.runs.checkpoints import load_checkpoint
+from dirl.runs.folder import Run
 from dirl.training import loops
 from dirl.training.job import build_components
 from dirl.training.stacked import Job, Stack, run_together, why_alone
@@ -58,7 +59,7 @@ class Updates:
         return len(self.reports) < self.count
 
     def record(self, report):
-        self.reports.append(report)
+        self.reports.append(report.read())
         self.state.left.fill_(1 - len(self.reports) / 100)
 
 
@@ -88,6 +89,30 @@ def test_each_run_of_a_stack_learns_what_it_learns_alone(common, tmp_path):
             torch.testing.assert_close(weights[name], value, atol=1e-5, rtol=0)
 
 
+def test_each_run_of_a_stack_imitates_as_it_does_alone(tmp_path):
+    room = room_file(tmp_path)
+    # The first ends by its loss, the second by its number of steps, while the third goes on.
+    ends = ("imitation.loss_threshold=1.2", "imitation.max_steps=7", "imitation.max_steps=20")
+    options = [
+        ("imitation.max_steps=20", "imitation.lr=0.01", *own, end) for own, end in zip(VARIED, ends, strict=True)
+    ]
+    stack, (every, _) = make_stack(room, options), make_states(room, options)
+    runs = [Run(tmp_path / f"stack{number}", parts.config) for number, parts in enumerate(every)]
+    for run, parts in zip(runs, every, strict=True):
+        run.begin(parts.world, parts.observation.order)
+    imitate(runs, stack, [parts.demos for parts in every])
+    for number, parts in enumerate(every):
+        alone = Run(tmp_path / f"alone{number}", parts.config)
+        alone.begin(parts.world, parts.observation.order)
+        imitate([alone], parts.policy, [parts.demos])
+        steps, own = rows_of(alone.folder / "imitation.csv"), rows_of(runs[number].folder / "imitation.csv")
+        assert [(row["step"], row["accuracy"]) for row in own] == [(row["step"], row["accuracy"]) for row in steps]
+        assert len(own) in (range(2, 7), (7,), range(8, 20))[number]
+        weights = dict(stack.policies[number].named_parameters())
+        for name, value in parts.policy.named_parameters():
+            torch.testing.assert_close(weights[name], value, atol=1e-5, rtol=0)
+
+
 def test_a_captured_update_computes_what_it_does_without_a_graph(tmp_path, monkeypatch, capsys):
     room = room_file(tmp_path)
     eager = make_stack(room)
@@ -97,8 +122,7 @@ def test_a_captured_update_computes_what_it_does_without_a_graph(tmp_path, monke
     assert learned(captured, 8) == reports
     assert [len(graph.calls) > 100 for graph in graphs] == [True]
     assert capsys.readouterr().err == ""
-    for one, other in zip(eager.parameters, captured.parameters, strict=True):
-        assert torch.equal(one, other)
+    assert torch.equal(eager.whole, captured.whole)
 
 
 SHORT = [*TINY, "imitation.max_steps=25", "reinforcement.frames_per_scene=240", "checkpoint.every_seconds=0"]
@@ -147,14 +171,15 @@ def test_every_job_of_a_stack_has_the_folder_it_would_have_alone(tmp_path, capsy
         assert len(rows_of(folder / "evaluation.csv")) == 3
 
 
-def test_a_stack_that_was_killed_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+@pytest.mark.parametrize("steps", [loops.ImitationSteps, loops.Updates])
+def test_a_stack_that_was_killed_goes_on_to_the_same_bits(steps, tmp_path, monkeypatch):
     room = room_file(tmp_path)
     assert not [
         one
         for one in run_together(jobs_in(tmp_path / "whole", room), train, imitation, learn)
         if isinstance(one, Exception)
     ]
-    record, count = loops.Updates.record, []
+    record, count = steps.record, []
 
     def killed(loop, reports):
         record(loop, reports)
@@ -163,7 +188,7 @@ def test_a_stack_that_was_killed_goes_on_to_the_same_bits(tmp_path, monkeypatch)
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(loops.Updates, "record", killed)
+        patch.setattr(steps, "record", killed)
         with pytest.raises(KeyboardInterrupt):
             run_together(jobs_in(tmp_path / "parts", room), train, imitation, learn)
     run_together(jobs_in(tmp_path / "parts", room), train, imitation, learn)
@@ -204,5 +229,5 @@ def test_a_run_alone_is_captured_too(tmp_path, monkeypatch, capsys):
     graphs = pretend(monkeypatch)
     (alone,) = run_together(jobs_in(tmp_path, room, changes=(("seed=1",),)), train, imitation, learn)
     assert alone["frames"] == 240
-    assert len(graphs) == 1
+    assert len(graphs) == 2  # of imitation and reinforcement
     assert capsys.readouterr().err.count("CUDA graph") == 0

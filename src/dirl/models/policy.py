@@ -4,8 +4,8 @@
 `ActorCritic` puts them together, as a network and as TorchRL's actor-critic operator.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Annotated, ClassVar
 
 import torch
@@ -120,11 +120,11 @@ class SceneTrunks(nn.Module):
     def __init__(self, scenes: Sequence[str], make: Callable[[], nn.Module]) -> None:
         super().__init__()
         self.scenes = _by_name(scenes, make)
-        self.sorts = False
+        self.sorts, self.only = False, slice(None)
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
         """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
-        layers = list(self.scenes.values())
+        layers = list(self.scenes.values())[self.only]
         if len(layers) == 1:
             return layers[0](rows)
         if not self.sorts or reading_waits(scene):
@@ -146,11 +146,11 @@ class SceneLinear(nn.Module):
 
     def __init__(self, scenes: Sequence[str], width: int, outputs: int) -> None:
         super().__init__()
-        self.scenes = _by_name(scenes, lambda: nn.Linear(width, outputs))
+        self.scenes, self.only = _by_name(scenes, lambda: nn.Linear(width, outputs)), slice(None)
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
         """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
-        layers = list(self.scenes.values())
+        layers = list(self.scenes.values())[self.only]
         if len(layers) == 1:
             return layers[0](rows).float()
         weight, bias = (torch.cat([getattr(layer, name) for layer in layers]) for name in ("weight", "bias"))
@@ -159,6 +159,9 @@ class SceneLinear(nn.Module):
 
 def _pick(every: Tensor, scene: Tensor) -> Tensor:
     """Of what every scene's layer made of the rows, ``[..., S, F]``, that of each row's scene, ``[..., F]``."""
+    if torch.is_grad_enabled() and reading_waits(every):  # a GPU would sort to take gradients back in a fixed order
+        own = scene[..., None] == torch.arange(every.shape[-2], device=scene.device)
+        return (every * own[..., None]).sum(-2)
     return every.take_along_dim(scene[..., None, None], -2).squeeze(-2)
 
 
@@ -167,6 +170,19 @@ def _by_name(scenes: Sequence[str], make: Callable[[], nn.Module]) -> nn.ModuleD
     if len(modules) < len(scenes):
         raise ValueError(f"the scenes' names must differ by more than dots and underscores: {list(scenes)}")
     return modules
+
+
+class Actions(Categorical):
+    """A distribution over actions, of whose log-probabilities a GPU takes gradients back without sorting."""
+
+    deterministic_sample = Categorical.mode  # by this name tensordict asks for it
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Return the log-probability of actions, int64 ``[...]``."""
+        if not reading_waits(value):
+            return super().log_prob(value)
+        others = value[..., None] != torch.arange(self.logits.shape[-1], device=value.device)
+        return self.logits.masked_fill(others, 0).sum(-1)
 
 
 class KeyedModule(TensorDictModuleBase):
@@ -259,7 +275,7 @@ class ActorCritic(TensorDictModuleBase):
         actor = ProbabilisticActor(
             KeyedModule(self.heads.policy, ["hidden", "scene"], "logits"),
             in_keys=["logits"],
-            distribution_class=Categorical,
+            distribution_class=Actions,
             distribution_kwargs={"validate_args": False},
             return_log_prob=True,
         )
@@ -292,9 +308,22 @@ def frozen(policy: nn.Module) -> AbstractContextManager[None]:
     return nullcontext() if cached is None else cached.keeping(learns=False)
 
 
-def noisy(policy: nn.Module, deviation: float) -> AbstractContextManager[None]:
+@contextmanager
+def in_scene(policy: nn.Module, number: int) -> Iterator[None]:
+    """A context in which all rows are of one scene, so that only its layers are applied."""
+    modules = [one for one in policy.modules() if isinstance(one, SceneTrunks | SceneLinear) and len(one.scenes) > 1]
+    for module in modules:
+        module.only = slice(number, number + 1)
+    try:
+        yield
+    finally:
+        for module in modules:
+            module.only = slice(None)
+
+
+def noisy(policy: object, deviation: float) -> AbstractContextManager[None]:
     """A context in which Gaussian noise is added to the views, see `FeatureTable`."""
-    return policy.features.noisy(deviation) if deviation else nullcontext()  # type: ignore[union-attr, operator]
+    return policy.features.noisy(deviation) if deviation else nullcontext()  # type: ignore[attr-defined]
 
 
 def plain_weights(policy: nn.Module) -> dict[str, Tensor]:

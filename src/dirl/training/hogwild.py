@@ -43,7 +43,7 @@ from dirl.training.objectives import (
     set_learning_rate,
     total_loss,
 )
-from dirl.training.rollout import Update, collect, summarise
+from dirl.training.rollout import Report, collect, report
 
 
 @dataclass
@@ -128,12 +128,12 @@ def learn(state: TrainState, loop: Updates) -> None:
     if config.init is not None:
         shared.initial = {name: value.detach().clone() for name, value in plain_weights(state.policy).items()}
     for update in asynchronous_updates(config, shared, loop):
-        loop.record([update], waiting(shared, state.policy))
+        loop.record(update, waiting(shared, state.policy))
     fetch(shared, state.policy)
 
 
-def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> Iterator[Update]:
-    """Start the workers, and yield their updates as long as the loop goes on, or until all its frames are claimed.
+def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> Iterator[Report]:
+    """Start the workers, and yield their reports as long as the loop goes on, or until all its frames are claimed.
 
     Raises:
         RuntimeError: a worker failed; it has printed why.
@@ -158,7 +158,8 @@ def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> 
             if failed or not loop.goes_on:
                 shared.stopped.set()
             try:
-                yield ready.recv()
+                names, told = ready.recv()
+                yield Report(names, torch.from_numpy(told))
             except EOFError:
                 worker = listening.pop(ready)
                 worker.join()
@@ -168,7 +169,7 @@ def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> 
 
 
 def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: Connection) -> None:
-    """The loop of a worker, numbered from 0: collect a rollout, update and send an `Update`, until `claim` has none."""
+    """The loop of a worker, numbered from 0: collect a rollout, update and send a `Report`, until `claim` has none."""
     torch.set_num_threads(1)
     world = build_world(config)
     observation = build_observation(config, world)
@@ -211,7 +212,8 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
                 optimiser.step()
                 if several:
                     fetch(shared, policy)
-        sender.send(summarise(env, batch, losses.set("gradient_norm", norm).detach())[0])
+        names, told = report(env, batch, losses.set("gradient_norm", norm).detach())
+        sender.send((names, told.numpy()))
 
 
 def claim(shared: Shared, frames: int, total: int) -> float | None:

@@ -5,7 +5,7 @@ A loop is used within its context, whose end stops the program if a signal came 
     with updates(state, [run], [protocol]) as loop:
         while loop.goes_on:
             ...  # collect, losses, backward, clip, step
-            loop.record(reports)
+            loop.record(report)
 """
 
 import math
@@ -27,13 +27,14 @@ from dirl.evaluation.episodes import bar_interval
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, metrics
 from dirl.models import ActorCritic, plain_weights
+from dirl.models.distinct import reading_waits
 from dirl.runs.checkpoints import Facts, RunError, State, restoring
 from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
-from dirl.training.build import build_env, build_expert
-from dirl.training.objectives import Losses
+from dirl.training.build import build_env, build_expert, build_imitation_loss
+from dirl.training.objectives import Losses, demonstration_batches
 from dirl.training.pairs import Demonstrations, with_labels
-from dirl.training.rollout import Update, collect
+from dirl.training.rollout import Report, Update, collect
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -93,17 +94,13 @@ class TrainState:
         random = {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)}
         if self.generator is not None:
             random["cpu"] = self.generator.get_state()
-        optimiser = self.optimiser.state_dict()
-        for group in optimiser["param_groups"]:
-            if isinstance(group["lr"], Tensor):  # while it is captured in a graph
-                group.update(lr=float(group["lr"]), capturable=False)
         return {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "losses": own_of_losses,
-            "optimiser": optimiser,
+            "optimiser": optimiser_state(self.optimiser),
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
             "random": random,
@@ -122,6 +119,15 @@ class TrainState:
         restore_random_state(state["random"])
 
 
+def optimiser_state(optimiser: Optimizer) -> State:
+    """Return its state as it is without a graph, in which the learning rate is a tensor."""
+    state = optimiser.state_dict()
+    for group in state["param_groups"]:
+        if isinstance(group["lr"], Tensor):
+            group.update(lr=float(group["lr"]), capturable=False)
+    return state
+
+
 def random_state(device: torch.device) -> dict[str, Tensor]:
     """Return the state of torch's own generators, from which actions and pairs are sampled."""
     own = {} if device.type == "cpu" else {device.type: torch.get_device_module(device).get_rng_state()}
@@ -136,12 +142,12 @@ def restore_random_state(state: Mapping[str, Tensor]) -> None:
 
 
 @dataclass
-class ImitationSteps:
-    """The steps of an imitation, and what changes from one to the next; made by `imitation_steps`."""
+class Imitation:
+    """The steps of a run's imitation, and what changes from one to the next."""
 
     run: Run
     policy: ActorCritic
-    """Its encoder and policy head are trained; the value head gets no gradient."""
+    """Its encoder and policy head are trained; the value head learns nothing."""
     optimiser: Optimizer
     first: int
     """Steps before this imitation."""
@@ -149,39 +155,25 @@ class ImitationSteps:
     loss: float = math.inf
     """Of the latest step, as is the accuracy: the fraction of its rows in which the most probable action is right."""
     accuracy: float = 0.0
-    saves: bool = True
-    """False where the steps are not saved, and a run that is killed in them begins anew."""
-    bar: tqdm = field(default_factory=lambda: tqdm(disable=True))
-    signals: list[int] = field(default_factory=list)
-    """Signals that ask the loop to end."""
+
+    def __post_init__(self) -> None:
+        self.options = self.run.config.imitation
 
     @property
     def goes_on(self) -> bool:
         """True if there are steps left to do."""
-        options = self.run.config.imitation
-        return self.step - self.first < options.max_steps and self.loss >= options.loss_threshold and not self.signals
+        return self.step - self.first < self.options.max_steps and self.loss >= self.options.loss_threshold
 
     @property
     def lr(self) -> float:
-        """The learning rate of the next step: constant, or with ``imitation.lr_decay`` linearly to zero."""
-        options = self.run.config.imitation
-        return options.lr * (1 - (self.step - self.first) / options.max_steps) if options.lr_decay else options.lr
+        """The learning rate of the next step: constant, or with ``imitation.lr_decay`` linearly to zero; zero after."""
+        done = (self.step - self.first) / self.options.max_steps if self.options.lr_decay else 0
+        return self.options.lr * (1 - done) if self.goes_on else 0.0
 
     def record(self, loss: float, accuracy: float) -> None:
-        """Count a step; write its metrics, save when it is time to.
-
-        Raises:
-            RunError: the loss is not finite. The checkpoints before are not touched.
-        """
-        if not math.isfinite(loss):
-            raise RunError(f"the imitation has diverged: a loss of {loss} at step {self.step}; lower imitation.lr")
-        self.loss = loss
-        self.accuracy = accuracy
-        self.step += 1
+        """Count a step, and write its metrics."""
+        self.loss, self.accuracy, self.step = loss, accuracy, self.step + 1
         self.run.write("imitation", self.step, {"step": self.step, "loss": self.loss, "accuracy": self.accuracy})
-        self.bar.update()
-        if self.saves and (self.run.save_due() or self.signals):
-            self.run.save(self.state_dict())
 
     def state_dict(self) -> State:
         """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
@@ -190,7 +182,7 @@ class ImitationSteps:
             "imitation": {"step": self.step, "loss": self.loss, "accuracy": self.accuracy},
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
+            "optimiser": optimiser_state(self.optimiser),
             "random": random_state(next(self.policy.parameters()).device),
         }
 
@@ -202,21 +194,74 @@ class ImitationSteps:
         restore_random_state(state["random"])
 
 
+@dataclass
+class ImitationSteps:
+    """The steps of an imitation, of one run or of those of a stack; made by `imitation_steps`."""
+
+    members: Sequence[Imitation]
+    optimiser: Any
+    """Of the run, or of all."""
+    prepared: Callable[[Callable[[], Tensor]], Callable[[], Tensor]]
+    """See `TrainState.prepared`."""
+    bar: tqdm
+    signals: list[int]
+    """Signals that ask the loop to end."""
+
+    @property
+    def goes_on(self) -> bool:
+        """True if any run has steps left to do."""
+        return any(member.goes_on for member in self.members) and not self.signals
+
+    @property
+    def lr(self) -> Any:
+        """The learning rate of the next step, or those of all runs; of one that is done it is 0."""
+        rates = [member.lr for member in self.members]
+        return torch.tensor(rates) if isinstance(self.optimiser.param_groups[0]["lr"], Tensor) else rates[0]
+
+    def record(self, told: Tensor) -> None:
+        """Count a step of loss and accuracy ``[2]``, or ``[2, R]``; write its metrics, save when it is time to.
+
+        Raises:
+            RunError: the loss of the only run is not finite. The checkpoints before are not touched.
+        """
+        for member, own in zip(self.members, told.view(2, -1).T.tolist(), strict=True):
+            if len(self.members) == 1 and not math.isfinite(own[0]):
+                at = f"a loss of {own[0]} at step {member.step}"
+                raise RunError(f"the imitation has diverged: {at}; lower imitation.lr")
+            if member.goes_on:
+                member.record(*own)
+        self.bar.update()
+        if not self.members[0].first and (any(own.run.save_due() for own in self.members) or self.signals):
+            for member in self.members:
+                member.run.save(member.state_dict())
+
+
 @contextmanager
-def imitation_steps(run: Run, policy: ActorCritic, first: int) -> Iterator[ImitationSteps]:
-    """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved."""
-    options = run.config.imitation
-    optimiser = torch.optim.Adam(policy.parameters(), lr=options.lr)
-    steps = ImitationSteps(run, policy, optimiser, first, first, saves=not first)
-    if run.saved is not None and "imitation" in run.saved and not first:
-        with restoring(run.folder):
-            steps.load_state_dict(run.saved)
-    total, hidden, every = options.max_steps, not options.sampled, bar_interval()
-    bar = tqdm(total=total, initial=steps.step - first, unit=" steps", mininterval=every, disable=hidden)
-    with interruptible() as steps.signals, bar as steps.bar:
-        yield steps
-    if steps.signals:
-        leave("interrupted", 128 + steps.signals[0], run.how_to_go_on)
+def imitation_steps(
+    runs: Sequence[Run], policy: Any, demos: Sequence[Demonstrations], first: int
+) -> Iterator[ImitationSteps]:
+    """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved.
+
+    The policy is that of one run, or a `dirl.training.stacked.Stack`.
+    """
+    stacked, members = getattr(policy, "stacked", False), list[Imitation]()
+    for run, own in zip(runs, policy.policies if stacked else [policy], strict=True):
+        fused = reading_waits(next(own.parameters()))  # as a graph of one kernel for all weights
+        optimiser: Any = torch.optim.Adam(own.parameters(), lr=run.config.imitation.lr, fused=fused)
+        members.append(Imitation(run, own, optimiser, first, first))
+        if run.saved is not None and "imitation" in run.saved and not first:
+            with restoring(run.folder):
+                members[-1].load_state_dict(run.saved)
+    total, hidden, every = members[0].options.max_steps, not members[0].options.sampled, bar_interval()
+    bar = tqdm(total=total, initial=members[0].step - first, unit=" steps", mininterval=every, disable=hidden)
+    optimiser = policy.optimised([own.optimiser for own in members], apart=True) if stacked else members[0].optimiser
+    with interruptible() as signals, bar:
+        yield ImitationSteps(members, optimiser, policy.prepared if stacked else lambda step: step, bar, signals)
+    if signals:
+        leave("interrupted", 128 + signals[0], lambda: how_to_go_on(runs))
+    learned = f"{sum(own.accuracy for own in members) / len(members):.1%} of the actions learned"
+    steps = max(own.step for own in members)
+    print(f"{sum(map(len, demos))} demonstrations, {steps} steps of imitation: {learned}")
 
 
 @dataclass
@@ -231,9 +276,13 @@ class Updates:
     protocols: Sequence[EvaluationProtocol]
     total: int
     """Frames of the whole training of a run."""
+    frames: int
+    """Of a run, so far."""
     bar: tqdm
     signals: list[int]
     """Signals that ask the loop to end."""
+    unread: list[tuple[Report, int, Any]] = field(default_factory=list)
+    """Reports that are on their way from a GPU, up to which frame each tells, and when it will be here."""
     began: float = field(default_factory=time.perf_counter)
     """When the present update began."""
 
@@ -247,39 +296,57 @@ class Updates:
         """True if all frames are done, or with ``until=stable`` every goal is stable and was evaluated since."""
         config, first = self.runs[0].config, self.members[0]
         stable = first.meter.stable_at if config.reinforcement.until == Until.stable else None
-        return first.frames >= self.total or (
-            stable is not None and due(stable, first.frames, self.total, config.evaluation.times)
+        return self.frames >= self.total or (
+            stable is not None and due(stable, self.frames, self.total, config.evaluation.times)
         )
 
-    def record(self, reports: Sequence[Update], paused: AbstractContextManager[None] | None = None) -> None:
-        """Count an update of every run; write, evaluate and save when it is due, the latter two within ``paused``."""
-        seconds = time.perf_counter() - self.began
-        config, first = self.runs[0].config, self.members[0]
-        before, frames = first.frames, first.frames + reports[0].frames
-        for run, state, report in zip(self.runs, self.members, reports, strict=True):
-            state.count(report, seconds)
-            if due(before, frames, self.total, ROWS):
-                meter, rate = state.meter, state.optimiser.defaults["lr"] * (1 - before / self.total)
-                row = {"frames": frames, "seconds": state.seconds, "frames_per_second": frames / state.seconds}
-                row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
-                row |= {"sr": meter.success_rate(config.reinforcement.max_steps), "lr": rate}
-                run.write("reinforcement", frames, row | report.values)
-        evaluates = due(before, frames, self.total, config.evaluation.times)
-        saves = self.done or any(run.save_due() for run in self.runs)
+    def record(self, report: Report, paused: AbstractContextManager[None] | None = None) -> None:
+        """Count an update of every run; write, evaluate and save when it is due, the latter two within ``paused``.
+
+        From a GPU the report of a stack is read during the next update, which has been launched by then.
+        """
+        config, before = self.runs[0].config, self.frames
+        self.frames += report.frames
+        told, arrived = report.told, None
+        if self.state.stacked and told.is_cuda:
+            told, arrived = told.to("cpu", non_blocking=True), torch.cuda.Event()
+            arrived.record()
+        self.unread.append((Report(report.names, told), self.frames, arrived))
+        evaluates = due(before, self.frames, self.total, config.evaluation.times)
+        self._read(1 if arrived is not None and not evaluates and not self.done else 0)
+        # The end of many runs comes right after: their checkpoints would take longer than what they save.
+        saves = (self.done and len(self.runs) == 1) or any(run.save_due() for run in self.runs)
         if evaluates or saves:
+            self._read()
             with paused or nullcontext():
                 if evaluates:
-                    # The episodes of a stack are walked together.
-                    protocols = self.state.walked(self.protocols) if self.state.stacked else self.protocols
-                    for run, state, protocol in zip(self.runs, self.members, protocols, strict=True):
-                        write_evaluation(run, state.policy, protocol, frames)
+                    write_evaluations(self.runs, self.state.policy, self.protocols, self.frames)
                 if saves:
                     self.save()
-        self.state.left.fill_(1 - frames / self.total)
+            self.began = time.perf_counter()
+        self.state.left.fill_(1 - self.frames / self.total)
         # tqdm drops a bar that is more than full.
-        self.bar.update(min(reports[0].frames * len(reports), self.bar.total - self.bar.n))
-        self.bar.set_postfix_str(f"ATL {first.meter.atl:.1f}", refresh=False)
-        self.began = time.perf_counter()
+        self.bar.update(min(report.frames * len(self.runs), self.bar.total - self.bar.n))
+        self.bar.set_postfix_str(f"ATL {self.members[0].meter.atl:.1f}", refresh=False)
+
+    def _read(self, later: int = 0) -> None:
+        """Read the reports, but for so many; count their updates, and write rows."""
+        config = self.runs[0].config
+        while len(self.unread) > later:
+            report, frames, arrived = self.unread.pop(0)
+            if arrived is not None:
+                arrived.synchronize()
+            reports, now = report.read(), time.perf_counter()
+            for run, state, own in zip(self.runs, self.members, reports, strict=True):
+                before, meter = state.frames, state.meter
+                state.count(own, now - self.began)
+                if due(before, frames, self.total, ROWS):
+                    rate = state.optimiser.defaults["lr"] * (1 - before / self.total)
+                    row = {"frames": frames, "seconds": state.seconds, "frames_per_second": frames / state.seconds}
+                    row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
+                    row |= {"sr": meter.success_rate(config.reinforcement.max_steps), "lr": rate}
+                    run.write("reinforcement", frames, row | own.values)
+            self.began = now
 
     def save(self) -> None:
         """Save the runs, all after the same update."""
@@ -302,19 +369,34 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
     )
     state.left.fill_(1 - frames / total)
     with interruptible() as signals, bar:
-        loop = Updates(state, members, runs, protocols, total, bar, signals)
+        loop = Updates(state, members, runs, protocols, total, frames, bar, signals)
         yield loop
         if signals and not loop.done:
             loop.save()
             bar.close()
-            again = f"go on with the same command and existing=keep hydra.sweep.dir={runs[0].folder.parent}"
-            advice = runs[0].how_to_go_on() if len(runs) == 1 else f"all checkpoints are safe; {again}"
-            leave("interrupted", 128 + signals[0], lambda: advice)
+            leave("interrupted", 128 + signals[0], lambda: how_to_go_on(runs))
 
 
-def dagger_rounds(
-    run: Run, policy: ActorCritic, protocol: EvaluationProtocol, demos: Demonstrations
-) -> Iterator[tuple[Demonstrations, int]]:
+def how_to_go_on(runs: Sequence[Run]) -> str:
+    """Return what is safe of a run, or of those of a stack, and how to continue."""
+    again = f"go on with the same command and existing=keep hydra.sweep.dir={runs[0].folder.parent}"
+    return runs[0].how_to_go_on() if len(runs) == 1 else f"all checkpoints are safe; {again}"
+
+
+def cloning(config: TrainConfig, policy: Any, demos: Demonstrations) -> Callable[[], TensorDictBase]:
+    """Return what compares the policy with the expert on a batch of demonstrations: loss and accuracy.
+
+    The policy of one run, or a `dirl.training.stacked.Stack`, which has its demonstrations.
+    """
+    if getattr(policy, "stacked", False):
+        compared: Callable[[], TensorDictBase] = policy.cloning()
+        return compared
+    loss, trunk = build_imitation_loss(config, policy), policy.trunk()
+    draw = demonstration_batches(policy, demos, config.imitation.batch_size)
+    return lambda: loss(trunk(draw().copy()))
+
+
+def dagger_rounds(run: Run, parts: Any, demos: Demonstrations) -> Iterator[tuple[Demonstrations, int]]:
     """The rounds of DAgger: the learner walks, the expert labels the states it came to, all is to be cloned again.
 
     After each round a row of ``dagger.csv`` is written: frames walked so far, states and goals labelled so far, and the
@@ -323,9 +405,10 @@ def dagger_rounds(
     Yields:
         The demonstrations and the frames walked so far.
     """
-    options, world = run.config.imitation, protocol.world
+    options, policy, protocol = run.config.imitation, parts.policy, parts.protocol
     if options.rounds == 0:
         return
+    world = protocol.world
     env, operator = build_env(run.config, world, protocol.observation, policy), policy.operator()
     expert = build_expert(run.config, world)
     agents, frames = env.reset(), 0
@@ -343,13 +426,20 @@ def due(before: int, now: int, total: int, times: int) -> bool:
     return before * times // total < now * times // total
 
 
-def write_evaluation(run: Run, policy: nn.Module, protocol: EvaluationProtocol, frames: int) -> None:
-    """Evaluate the policy as it is, greedily, and write a row of ``evaluation.csv``."""
-    row = {"frames": frames, **metrics(protocol.run(policy))}
-    if protocol.live is not None:
-        live = metrics(protocol.live(policy))
-        row |= {f"live_{key}": live[key] for key in ("sr", "spl")}
-    if protocol.held_out is not None:
-        held_out = metrics(protocol.held_out.run(policy))
-        row |= {f"held_out_{key}": held_out[key] for key in ("sr", "spl")}
-    run.write("evaluation", frames, row)
+def write_evaluations(runs: Sequence[Run], policy: Any, protocols: Sequence[EvaluationProtocol], frames: int) -> None:
+    """Evaluate the policy of each run as it is, greedily, and write a row of ``evaluation.csv``.
+
+    The policy is that of one run, or a `dirl.training.stacked.Stack`, whose episodes are walked together.
+    """
+    policies = [policy]
+    if getattr(policy, "stacked", False):
+        protocols, policies = policy.walked(protocols), policy.policies
+    for run, own, protocol in zip(runs, policies, protocols, strict=True):
+        row = {"frames": frames, **metrics(protocol.run(own))}
+        if protocol.live is not None:
+            live = metrics(protocol.live(own))
+            row |= {f"live_{key}": live[key] for key in ("sr", "spl")}
+        if protocol.held_out is not None:
+            held_out = metrics(protocol.held_out.run(own))
+            row |= {f"held_out_{key}": held_out[key] for key in ("sr", "spl")}
+        run.write("evaluation", frames, row)

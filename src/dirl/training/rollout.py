@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -59,26 +60,42 @@ class Update(NamedTuple):
     """Losses, and what describes the update beside them."""
 
 
-def summarise(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> list[Update]:
-    """Return the reports of an update of R runs, from their rollouts ``[R, B, T]`` and its losses, ``[R]``.
+class Report(NamedTuple):
+    """What R runs report of an update, where it was computed: a graph overwrites it, and to read it is to wait."""
 
-    Those of one run may be ``[B, T]`` and ``[]``.
-    With them comes the fraction of the variance of the returns that the critic explains: 1 is a perfect one, 0 one that
-    says the same of every state.
+    names: list[str]
+    """Of the values."""
+    told: Tensor
+    """K values of each run; then which of its F steps end an episode, their goals and lengths, ``[R, K + 3F]``."""
+
+    @property
+    def frames(self) -> int:
+        """F, of each run."""
+        return (self.told.shape[1] - len(self.names)) // 3
+
+    def read(self) -> list[Update]:
+        """Return the report of each run."""
+        values, *over = self.told.cpu().split([len(self.names), *[self.frames] * 3], 1)
+        reports = []
+        for own, done, goal, steps in zip(values.tolist(), *(part.long().numpy() for part in over), strict=True):
+            ended = done.nonzero()
+            named = dict(zip(self.names, own, strict=True))
+            reports.append(Update(self.frames, goal[ended].tolist(), steps[ended].tolist(), named))
+        return reports
+
+
+def report(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Report:
+    """Return the report of an update of R runs, from their rollouts ``[R, B, T]`` and its losses, ``[R]``.
+
+    Those of one run may be ``[B, T]`` and ``[]``. With them comes the fraction of the variance of the returns that the
+    critic explains: 1 is a perfect one, 0 one that says the same of every state.
     """
     if batch.batch_dims == 2:
         batch, losses = batch.unsqueeze(0), losses.unsqueeze(0)
     told = {key: value.float() for key, value in sorted(losses.items()) if value.ndim == 1}
     target, value = batch["value_target"].float().flatten(1), batch["state_value"].float().flatten(1)
     told["explained_variance"] = 1 - (target - value).var(1) / target.var(1)
-    values = torch.stack(list(told.values()), 1).tolist()  # one synchronisation, another one below
-    after, goal_index = batch["next"], env.base_env.goal_index
-    ends = [after["done"].squeeze(-1), goal_index[after["goal"]], after["step_count"].squeeze(-1)]
-    over = torch.stack([end.long().mT.flatten(1) for end in ends]).cpu().numpy()  # in the order they ended
-    reports = []
-    for done, goal, steps, own in zip(*over, values, strict=True):
-        ended = done.nonzero()
-        reports.append(
-            Update(len(done), goal[ended].tolist(), steps[ended].tolist(), dict(zip(told, own, strict=True)))
-        )
-    return reports
+    after = batch["next"]
+    ends = [after["done"].squeeze(-1), env.base_env.goal_index[after["goal"]], after["step_count"].squeeze(-1)]
+    over = [end.mT.flatten(1).float() for end in ends]  # in the order they ended; whole numbers, which stay exact
+    return Report([*told], torch.cat([torch.stack([*told.values()], 1), *over], 1))

@@ -11,7 +11,8 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,26 +20,28 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.func import vmap
 
-from dirl.agent.decisions import PAIRS_AT_ONCE, observe
+from dirl.agent.decisions import observe
 from dirl.config.components import TARGET, class_parameters, find_class
 from dirl.config.schemas import Device, Schedule, TrainConfig, Until
-from dirl.config.values import leaves, plain
+from dirl.config.values import leaves
 from dirl.evaluation.episodes import EvaluationProtocol
 from dirl.models.distinct import Cacheable, reading_waits
+from dirl.models.policy import VIEW_IDS, in_scene
 from dirl.runs.checkpoints import Facts, is_finished
 from dirl.runs.folder import Run
 from dirl.scenes.io.bounded import read_text
-from dirl.training.build import build_env, build_losses, describe
+from dirl.training.build import build_env, build_imitation_loss, build_losses, describe
 from dirl.training.job import Components, Stages, build_components, conclude, open_job, run_stages
 from dirl.training.loops import TrainState, updates
 from dirl.training.objectives import FULL_BATCH, Losses, set_learning_rate, trained_parameters
 
-Learn = Callable[..., None]
-"""`learn` of ``recipes/train.py``."""
+Loop = Callable[..., Any]
+"""`imitation` or `learn` of ``recipes/train.py``."""
 
 VARIED = (
     *("seed", "imitation.", "losses.", "optimiser.lr", "reward.", "logger."),
@@ -46,8 +49,8 @@ VARIED = (
 )
 """The options in which the runs of a stack may differ."""
 
-WARM_UP = 3
-"""Updates before the capture: libraries choose their kernels, and optimisers make their state. They count."""
+ROWS_AT_ONCE = 2**18
+"""Pairs of all runs that a pass through the network answers."""
 
 
 @dataclass
@@ -60,11 +63,12 @@ class Job:
 
 
 def why_alone(config: TrainConfig, components: Components) -> str | None:
-    """Return what keeps a run from being reinforced in a stack, in words; None if nothing does."""
+    """Return what keeps a run from being trained in a stack, in words; None if nothing does."""
     state, world = components.state, components.protocol.world
     if state is None:
         return "it learns nothing by reinforcement"
     options, imitation, losses = config.reinforcement, config.imitation, state.losses.losses.values()
+    modules = [*(loss.module for loss in losses), build_imitation_loss(config, components.policy)]
     sampled = imitation.sampled or imitation.batch_size is not None or len(components.demos) > FULL_BATCH
     optimiser = class_parameters(find_class("optimiser", config.optimiser[TARGET], config.trust))
     reasons = {
@@ -75,29 +79,26 @@ def why_alone(config: TrainConfig, components: Components) -> str | None:
         "several updates from a rollout": options.epochs * options.minibatches > 1,
         "rollouts longer than episodes": options.n_steps > options.max_steps,
         "sampled demonstrations": sampled,
+        "rounds of DAgger": imitation.rounds > 0,
+        "noise": imitation.noise > 0,
         "held-out goals": config.hold_out > 0,
         "an environment of its own": config.env != {TARGET: "dirl.envs.NavigationEnv", "slip": 0.0},
         "an optimiser without capturable": config.device == Device.cuda and "capturable" not in optimiser,
         "a world that changes": world.looks > 1,
+        "many goals": len(world.distances) > FULL_BATCH,  # whose every pair with a state is answered
         # A stack applies the layers of every scene to all rows.
         "several scenes on a CPU": world.device.type == "cpu" and len(world.scenes) > 1,
         "an encoder without embed and fuse": not isinstance(getattr(components.policy, "encoder", None), Cacheable),
         "a loss with weights of its own": len(state.parameters) > len(trained_parameters(components.policy)),
         "a loss that defines the reward": any(hasattr(loss.module, "reward") for loss in losses),
-        "a loss that is not reduced by reduction": not all(hasattr(loss.module, "reduction") for loss in losses),
+        "a loss that is not reduced by reduction": not all(hasattr(one, "reduction") for one in modules),
         "a loss that compares": any(loss.compares for loss in losses),
     }
     return next((reason for reason, holds in reasons.items() if holds), None)
 
 
-def run_together(jobs: Sequence[Job], train: Stages, imitation: Stages, learn: Learn) -> list[Facts | Exception]:
-    """Run the jobs of a sweep, as many of them as one program as can be.
-
-    Args:
-        jobs: of the sweep.
-        train: the stages of one run, of ``recipes/train.py``.
-        imitation: those before its reinforcement.
-        learn: its loop of reinforcement.
+def run_together(jobs: Sequence[Job], train: Stages, imitation: Loop, learn: Loop) -> list[Facts | Exception]:
+    """Run the jobs of a sweep, as many of them as one program as can be, by functions of ``recipes/train.py``.
 
     Returns:
         The summary of each, or the error that ended it; the others are run to their end.
@@ -111,7 +112,7 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Stages, learn: L
             if is_finished(run.folder):
                 results[number] = json.loads(read_text(run.folder / "summary.json"))
                 continue
-            fixed = {name: value for name, value in leaves(plain(run.config)).items() if not name.startswith(VARIED)}
+            fixed = {name: value for name, value in leaves(asdict(run.config)).items() if not name.startswith(VARIED)}
             if run.config.goals is not None or run.config.evaluation.goals is not None:  # they may be drawn with it
                 fixed["seed"] = run.config.seed
             kind = json.dumps(fixed, default=str, sort_keys=True)
@@ -137,22 +138,19 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Stages, learn: L
 
 
 def run_stack(
-    members: Mapping[int, tuple[Run, Components]], imitation: Stages, learn: Learn
+    members: Mapping[int, tuple[Run, Components]], imitation: Loop, learn: Loop
 ) -> Iterator[tuple[int, Facts | Exception]]:
-    """Train runs that stand at the same frame, their reinforcement as one; yields the summary of each, or its error."""
+    """Train runs that stand at the same frame as one; yields the summary of each, or its error."""
     print(f"{len(members)} runs as one: {', '.join(str(run.folder) for run, _ in members.values())}", flush=True)
     ready: dict[int, tuple[Run, Any]] = {}
     for number, (run, components) in members.items():
         try:
             run.begin(components.protocol.world, components.protocol.observation.order)
-            if run.saved is None:
-                torch.manual_seed(run.config.seed)
-            imitation(run, components)
             # A generator of its own for the actions, which draws what torch's own would for this run alone.
-            saved, state = None if components.before_reinforcement else run.saved, components.state
-            assert state is not None
-            state.generator = torch.Generator()
-            state.generator.set_state(saved["random"]["cpu"] if saved else torch.get_rng_state())
+            assert components.state is not None
+            components.state.generator = torch.Generator().manual_seed(run.config.seed)
+            if run.saved is not None and not components.before_reinforcement:
+                components.state.generator.set_state(run.saved["random"]["cpu"])
             ready[number] = (run, components)
         except Exception as error:
             yield number, error
@@ -161,6 +159,7 @@ def run_stack(
     runs, every = zip(*ready.values(), strict=True)
     protocols = [components.protocol for components in every]
     stack = Stack(every)
+    imitation(runs, every, stack)
     with updates(stack, runs, protocols) as loop:
         learn(stack, loop)
     walked = stack.walked(protocols, assess=True)
@@ -172,9 +171,8 @@ def run_stack(
             yield number, error
 
 
-def captured(run: Run, components: Components) -> "TrainState | Stack":
+def captured(run: Run, components: Components) -> "TrainState | Stack | None":
     """Return a run's state as a stack of one, whose update is a CUDA graph; or tell why it is none, and return it."""
-    assert components.state is not None
     reason = why_alone(run.config, components)
     if reason is None:
         return Stack([components])
@@ -204,15 +202,30 @@ class Stack:
         self.form: Any = copy.deepcopy(first.policy, {id(first.policy.features): first.policy.features})
         del self.form.cached  # which may be a module; in its place comes a function
         self.form.cached = self._fused
+        for module in self.form.modules():
+            if type(module) is nn.Linear and module.bias is not None:  # in its place vmap would add a product with 1
+                module.forward = lambda rows, own=module: rows @ own.weight.mT + own.bias  # type: ignore
         self.views = observation.reset_view_ids(torch.arange(len(self.world), device=self.device))
-        self.goal_views = observation.goal_view_ids(self.world.goals)
-        self._kept: tuple[Tensor, ...] = ()
-        """Embeddings of all runs, in `keeping`."""
-        self._own: tuple[Tensor, ...] = ()
-        """Those of the run that is computed."""
-        self.weights = _stack_weights([state.policy for state in self.members])
-        self.parameters = list(self.weights.values(True, True))
-        self.optimiser = StackedOptimiser([state.optimiser for state in self.members], self.parameters, self.device)
+        self.goal_views, self.goal_index = observation.goal_view_ids(self.world.goals), self.world.goal_index
+        goals, states = self.world.pairs()
+        asked = observe(self.world, observation, states, self.views[states], goals)
+        sizes = asked["scene"].unique_consecutive(return_counts=True)[1].tolist()
+        at_once = max(1, ROWS_AT_ONCE // len(every))
+        parts = [part for of_scene in asked.split(sizes) for part in of_scene.split(at_once)]
+        self.asked = [(int(part["scene"][0]), part) for part in parts]
+        """Every pair of goal and state, ``[P]``, by their scene."""
+        # In `keeping`: embeddings of all runs, those of the run that is computed, and answers to the pairs.
+        self._kept, self._own = tuple[Tensor, ...](), tuple[Tensor, ...]()
+        self._answers: Any = None
+        self.policies = [state.policy for state in self.members]
+        self.shapes = {name: value.shape for name, value in first.policy.named_parameters()}
+        self.whole = _joined_weights(self.policies)
+        """The weights of every run in one row, ``[R, P]``; those of its policy are views, gradients too."""
+        apart = self.config.reinforcement.clip_per_variable
+        gradients = self._by_name(self.whole.grad).values(True, True) if apart else [self.whole.grad]
+        self.parameters: Any = [SimpleNamespace(grad=gradient) for gradient in gradients]
+        self.optimised = partial(StackedOptimiser, self.whole)
+        self.optimiser = self.optimised([state.optimiser for state in self.members])
         # On a CPU each run draws what it would alone; on a GPU one kernel draws for all.
         drawn = [state.env.base_env.generator for state in self.members]
         self.generators: list[torch.Generator] = [state.generator for state in self.members]
@@ -225,11 +238,49 @@ class Stack:
         for state, own in zip(self.members, self.agents.unbind(0), strict=True):
             state.agents = own  # as are its weights a view, which changes with the stack
         self.left = torch.ones((), dtype=torch.float64, device=self.device)
+        # Of its graphs: not the default one, with which a capture must share nothing.
+        self.stream = torch.cuda.Stream() if reading_waits(self.left) else None
         self.losses = StackedLosses(self, build_losses(first.config, self.form, self.world, demos[0]), demos)
 
-    def operator(self) -> "StackedOperator":
+    def cloning(self) -> Callable[[], TensorDictBase]:
+        """Return what compares each run with the expert on its demonstrations: loss and accuracy, ``[R]``."""
+        loss: Any = build_imitation_loss(self.config, self.form)
+        trunk, kind, loss.reduction = self.form.trunk(), loss.reduction, "none"
+
+        def of_run(rows: TensorDictBase, counts: Tensor) -> TensorDict:
+            told = loss(trunk(rows.copy()))
+            accuracy = reduced(told["accuracy"], "mean", counts)
+            return TensorDict({"loss_imitation": reduced(told["loss_imitation"], kind, counts), "accuracy": accuracy})
+
+        return lambda: self.each(of_run, *self.losses.demonstrated)
+
+    def operator(self) -> "Stack":
         """Return what takes the agents ``[R, B]`` through the policies of their runs."""
-        return StackedOperator(self)
+        return self
+
+    def get_value_operator(self) -> TensorDictModule:
+        """Return the same for values alone."""
+        return TensorDictModule(lambda *view_ids: self._found(*view_ids)["state_value"], [*VIEW_IDS], ["state_value"])
+
+    def __call__(self, agents: TensorDictBase) -> TensorDictBase:
+        """Return the agents with action, its log-probability and the state's value, each run by its own policy."""
+        written = agents.copy().update(self._found(*(agents[key] for key in VIEW_IDS)))
+        choice = Categorical(logits=written["logits"], validate_args=False)
+        # What torch.multinomial does where one number is drawn, by the generators of the runs.
+        parts = zip(choice.logits.chunk(len(self.generators)), self.generators, strict=True)
+        drawn = torch.cat([torch.empty_like(part).exponential_(generator=own) for part, own in parts])
+        action = (choice.probs / drawn).argmax(-1)
+        return written.update({"action": action, "action_log_prob": choice.log_prob(action)})
+
+    def _found(self, view_ids: Tensor, goal_view_ids: Tensor) -> TensorDictBase:
+        """Return what the runs answer where goals are to be found from states, ``[R, ...]``."""
+        pair = self.world.pair(self.goal_index[goal_view_ids[..., 0]], view_ids[..., 0])
+        return self.answers().gather(1, pair.flatten(1)).unflatten(1, pair.shape[1:])
+
+    def _by_name(self, whole: Any) -> TensorDict:
+        parts = whole.split([shape.numel() for shape in self.shapes.values()], 1)
+        named = {name: part.view(-1, *self.shapes[name]) for name, part in zip(self.shapes, parts, strict=True)}
+        return TensorDict(named, batch_size=[len(whole)]).unflatten_keys(".")
 
     def each(self, function: Callable[..., Any], *rows: Any) -> Any:
         """Return the function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
@@ -250,37 +301,45 @@ class Stack:
     def _fused(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
         """Return what the encoder makes of embeddings by view ids of observation and goal, int64 ``[B, 4]`` each."""
         rows, goal_rows = self._own
-        goals = goal_rows[self.world.goal_index[goal_view_ids[:, 0]]]
-        fused: Tensor = self.form.encoder.fuse(rows[view_ids[:, 0]], goals)
+        goals = taken(goal_rows, self.goal_index[goal_view_ids[:, 0]])
+        fused: Tensor = self.form.encoder.fuse(taken(rows, view_ids[:, 0]), goals)
         return fused
 
     @contextmanager
     def keeping(self, *, learns: bool) -> Iterator[None]:
         """A context, of one update, in which all is embedded once; for the losses too if it ``learns``."""
         with torch.set_grad_enabled(learns):
+            self.weights = self._by_name(self.whole)
             self._kept = self.each(self._embedded)
         try:
             yield
         finally:
-            self._kept = ()
+            self._kept, self._answers = (), None
+
+    @torch.no_grad()
+    def answers(self) -> Any:
+        """Return what the runs answer to every pair of goal and state, ``[R, P]``, which a rollout looks up."""
+
+        def of_run(scene: int, asked: TensorDictBase) -> Any:
+            with in_scene(self.form, scene):
+                return self.form(asked.copy()).select("logits", "state_value")
+
+        if self._answers is None:
+            self._answers = torch.cat([self.each(partial(of_run, *part)) for part in self.asked], 1)
+        return self._answers
 
     def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
         """Return the update as a CUDA graph, where there is a GPU."""
         generators = {*self.generators, *self.env.base_env.generators}
-        return Captured(update, generators) if reading_waits(self.left) else update
+        return Captured(update, generators, self.stream) if self.stream is not None else update
 
     @torch.no_grad()
     def walked(self, protocols: Sequence[EvaluationProtocol], *, assess: bool = False) -> list[EvaluationProtocol]:
         """Return the protocols of the runs, equal but for their starts, with greedy episodes; to assess, with all."""
-        world, observation = self.world, protocols[0].observation
-        operator, (goals, states) = StackedOperator(self, acts=False), world.pairs()
-        parts = []
+        world = self.world
         with self.keeping(learns=False):
-            for rows in torch.arange(len(goals), device=world.device).split(max(1, PAIRS_AT_ONCE // len(protocols))):
-                asked = observe(world, observation, states[rows], self.views[states[rows]], goals[rows])
-                parts.append(operator(asked.expand(len(protocols), *asked.shape))["logits"])
-        # Of every run for each pair, [R, P, 4]. One that has diverged is walked too: others do not wait.
-        logits = torch.cat(parts, 1).nan_to_num()
+            # Of every run for each pair, [R, P, 4]. One that has diverged is walked too: others do not wait.
+            logits = self.answers()["logits"].nan_to_num()
         every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
         joined = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
         episodes = len(every_start[0])  # of each run; those of the first come first
@@ -297,36 +356,6 @@ class Stack:
             replace(protocol, walked=tuple(kind.select(own) for kind in kinds))
             for protocol, own in zip(protocols, rows_of_runs, strict=True)
         ]
-
-
-class StackedOperator:
-    """Writes action, its log-probability and the state's value, each run by its own policy."""
-
-    in_keys = ("view_ids", "goal_view_ids", "scene")
-
-    def __init__(self, stack: Stack, *, acts: bool = True) -> None:
-        self.stack, self.acts = stack, acts
-
-    def get_value_operator(self) -> "StackedOperator":
-        """Return the same without actions."""
-        return StackedOperator(self.stack, acts=False)
-
-    def __call__(self, agents: TensorDictBase) -> TensorDictBase:
-        """Return the agents, ``[R, ...]``, with what is written."""
-
-        def answer(own: TensorDictBase) -> TensorDictBase:
-            return self.stack.form(own.copy()).select("logits", "state_value")
-
-        written = agents.copy().update(self.stack.each(answer, agents.select(*self.in_keys)))
-        if not self.acts:
-            return written
-        choice = Categorical(logits=written["logits"], validate_args=False)
-        # What torch.multinomial does where one number is drawn, by the generators of the runs.
-        generators = self.stack.generators
-        parts = zip(choice.logits.chunk(len(generators)), generators, strict=True)
-        drawn = torch.cat([torch.empty_like(part).exponential_(generator=own) for part, own in parts])
-        action = (choice.probs / drawn).argmax(-1)
-        return written.update({"action": action, "action_log_prob": choice.log_prob(action)})
 
 
 class StackedLosses:
@@ -347,45 +376,54 @@ class StackedLosses:
 
     def __call__(self, batch: TensorDictBase, left: Tensor) -> Any:
         """Return the weighted losses of a batch ``[R, B]``, see `Losses.forward`."""
-        return self.stack.each(self._of_run, batch, self.form.coefficients(left), *self.demonstrated)
 
-    def _of_run(
-        self, batch: TensorDictBase, coefficients: Any, rows: TensorDictBase | None = None, counts: Tensor | None = None
-    ) -> TensorDict:
-        def reduce(name: str, value: Tensor) -> Tensor:
-            if counts is not None and self.form.losses[name].on_demonstrations:
-                value = value.flatten() * counts / counts.mean()
-            return value.sum() if self.reductions[name] == "sum" else value.mean()
+        def of_run(batch: TensorDictBase, coefficients: Any, rows: Any = None, counts: Any = None) -> TensorDict:
+            def reduce(name: str, value: Tensor) -> Tensor:
+                counted = self.form.losses[name].on_demonstrations
+                return reduced(value, self.reductions[name], counts if counted else None)
 
-        return self.form.compute(batch, rows, coefficients, reduce)
+            return self.form.compute(batch, rows, coefficients, reduce)
+
+        return self.stack.each(of_run, batch, self.form.coefficients(left), *self.demonstrated)
 
 
 class StackedOptimiser:
     """The optimisers of the runs: their own weights, which are views of the stacked ones, at their own rates."""
 
-    def __init__(self, optimisers: Sequence[Any], parameters: Sequence[Tensor], device: torch.device) -> None:
-        self.optimisers = optimisers
-        self.gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-        rates = torch.tensor([own.defaults["lr"] for own in optimisers], dtype=torch.float64, device=device)
-        self.defaults = {"lr": rates}
-        self.param_groups = [{"lr": rates.float()}]
-        for optimiser, rate in zip(optimisers, self.param_groups[0]["lr"], strict=True):
-            optimiser._warned_capturable_if_run_uncaptured = True  # as it is before the capture
-            for group in optimiser.param_groups:
-                # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
-                if device.type != "cpu" or group.get("fused"):
-                    group.update(lr=rate, capturable=True)
+    def __init__(self, whole: Tensor, optimisers: Sequence[Any], *, apart: bool = False) -> None:
+        self.whole = whole
+        rates = torch.tensor([own.defaults["lr"] for own in optimisers], dtype=torch.float64, device=whole.device)
+        self.defaults, self.param_groups = {"lr": rates}, [{"lr": rates.float()}]
+        alike: dict[Any, list[Any]] = {}
+        for number, (own, rate) in enumerate(zip(optimisers, self.param_groups[0]["lr"], strict=True)):
+            alike.setdefault(number if apart else own.defaults["lr"], []).append((own, rate))
+            # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
+            if whole.device.type != "cpu" or own.param_groups[0].get("fused"):
+                own.param_groups[0].update(lr=rate, capturable=True)
+        self.parts = [(_joined([own for own, _ in some]), some[0][1]) for some in alike.values()]
+        """The optimisers of runs with one rate as one, and where that stands."""
 
     def zero_grad(self) -> None:
         """In place: a graph adds to the same memory at every replay."""
-        torch._foreach_zero_(self.gradients)
+        assert self.whole.grad is not None
+        self.whole.grad.zero_()
 
     def step(self) -> None:
         """One step of each."""
-        for optimiser, rate in zip(self.optimisers, self.param_groups[0]["lr"], strict=True):
-            if not isinstance(optimiser.param_groups[0]["lr"], Tensor):
-                set_learning_rate(optimiser, rate.item())
-            optimiser.step()
+        for part, rate in self.parts:
+            if not isinstance(part.param_groups[0]["lr"], Tensor):
+                set_learning_rate(part, rate.item())
+            part.step()
+
+
+def _joined(optimisers: Sequence[Any]) -> Any:
+    """Return an optimiser of the parameters of all, which has their state: one kernel steps all."""
+    joined, first = object.__new__(type(optimisers[0])), optimisers[0]
+    state = {one: own.state[one] for own in optimisers for one in own.param_groups[0]["params"]}
+    groups = [first.param_groups[0] | {"params": [*state]}]
+    # It is uncaptured before the capture.
+    vars(joined).update(vars(first), param_groups=groups, state=state, _warned_capturable_if_run_uncaptured=True)
+    return joined
 
 
 def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
@@ -400,6 +438,12 @@ def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainC
     return replace(configs[0], reward=replace(reward, **rewards), reinforcement=replace(options, **discount))
 
 
+def reduced(value: Tensor, kind: str, counts: Tensor | None) -> Tensor:
+    """Return the mean of rows, or their sum, without those that only fill up; see `padded`."""
+    rows = value if counts is None else value.flatten() * counts / counts.mean()
+    return rows.sum() if kind == "sum" else rows.mean()
+
+
 def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase, Tensor]:
     """The demonstrations of all runs, ``[R, M]``, and which count, float32 ``[R, M]``: the others fill up the rows."""
     rows = torch.arange(max(map(len, demos)), device=demos[0].device)
@@ -408,39 +452,45 @@ def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase, Tensor]:
     return together, torch.stack([rows < len(own) for own in demos]).float()
 
 
-def _stack_weights(policies: Sequence[nn.Module]) -> TensorDict:
-    """The parameters of all policies together, ``[R, ...]`` each; the policies' own become views, gradients too."""
-    named = [dict(policy.named_parameters()) for policy in policies]
-    stacked = {name: torch.stack([own[name].detach() for own in named]).requires_grad_() for name in named[0]}
-    for name, value in stacked.items():
-        value.grad = torch.zeros_like(value)
-        for run, own in enumerate(named):
-            own[name].data, own[name].grad = value.data[run], value.grad[run]
-    return TensorDict(stacked, batch_size=[len(named)]).unflatten_keys(".")
+def _joined_weights(policies: Sequence[nn.Module]) -> Tensor:
+    """Return the parameters of each policy in one row, ``[R, P]``; the policies' own become views, gradients too."""
+    named = [list(policy.parameters()) for policy in policies]
+    whole = torch.stack([torch.cat([value.detach().flatten() for value in own]) for own in named]).requires_grad_()
+    whole.grad = torch.zeros_like(whole)
+    for own, row, grads in zip(named, whole.detach(), whole.grad, strict=True):
+        sizes = [value.numel() for value in own]
+        for value, part, grad in zip(own, row.split(sizes), grads.split(sizes), strict=True):
+            value.data, value.grad = part.view_as(value), grad.view_as(value)
+    return whole
+
+
+def taken(table: Tensor, index: Tensor) -> Tensor:
+    """Return rows of a table, float32 ``[N, E]``, by their index, int64 ``[B]``.
+
+    A gradient comes back from a GPU by a product with ones and zeros: in a fixed order, as sorting would do slowly.
+    """
+    if not torch.is_grad_enabled() or not reading_waits(table):
+        return table[index]
+    return (index[:, None] == torch.arange(len(table), device=index.device)).to(table.dtype) @ table
 
 
 class Captured:
-    """A function of no arguments that reads and writes tensors in place, as a CUDA graph from its fourth call on.
+    """A function of no arguments that reads and writes tensors in place, as a CUDA graph from its second call on.
 
-    What cannot be captured is called as it is, and the reason is told in one line. (tensordict's ``CudaGraphModule``
-    synchronises before every replay, copies what it returns, and cannot register a generator.)
-
-    Args:
-        function: the same operations on the same memory at each call. Its result is overwritten by the next one.
-        generators: that it draws from, besides torch's own.
+    Its result is overwritten by the next call. What cannot be captured is called as it is, and the reason is told in
+    one line. (tensordict's ``CudaGraphModule`` synchronises before every replay, copies what it returns, and cannot
+    register a generator.)
     """
 
-    def __init__(self, function: Callable[[], Any], generators: set[torch.Generator]) -> None:
-        self.function, self.generators = function, generators
-        self.calls = 0
+    def __init__(self, function: Callable[[], Any], generators: set[torch.Generator], stream: Any) -> None:
+        self.function, self.generators, self.stream = function, generators, stream
         self.graph: torch.cuda.CUDAGraph | None = None
-        self.result: Any = None
-        self.stream = torch.cuda.Stream()  # not the default one, with which a capture must share nothing
+        self.calls, self.result = 0, None
 
     def __call__(self) -> Any:
         """Call the function, or replay its graph."""
         self.calls += 1
-        if self.calls == WARM_UP + 1:
+        if self.calls == 2:  # in the first call kernels were loaded, and optimisers made their state
             self._capture()
         if self.graph is not None:
             self.graph.replay()
