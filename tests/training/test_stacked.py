@@ -9,6 +9,7 @@ import torch
 from commands import TINY, room_file, train_config
 from parts import make_parts, train_state
 from pretend_graph import pretend
+from refusals import refused
 from train import imitate, imitation, learn, train
 
 from dirl.cli.parsing import compose_training
@@ -231,3 +232,9 @@ def test_a_run_alone_is_captured_too(tmp_path, monkeypatch, capsys):
     assert alone["frames"] == 240
     assert len(graphs) == 2  # of imitation and reinforcement
     assert capsys.readouterr().err.count("CUDA graph") == 0
+
+
+def test_without_a_card_a_sweep_is_refused_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    jobs = jobs_in(tmp_path, room_file(tmp_path), "device=cuda")
+    refused("^device=cuda: torch sees no CUDA device here", run_together, jobs, train, imitation, learn)

@@ -4,7 +4,6 @@ import time
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
-from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.nn.utils import clip_grad_norm_
 from torchrl.collectors import Collector
@@ -19,18 +18,6 @@ from dirl.models.build import build_policy, feature_table
 from dirl.training.build import build_optimiser, build_world
 
 
-class AnyBatch(nn.Module):
-    """Scene-specific layers, see `dirl.models.policy`, for batches of any shape, as TorchRL's GAE asks the critic."""
-
-    def __init__(self, layers: nn.Module) -> None:
-        super().__init__()
-        self.layers = layers
-
-    def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
-        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
-        return self.layers(rows.flatten(0, -2), scene.flatten()).unflatten(0, scene.shape)
-
-
 def stock_torchrl(config: TrainConfig, updates: int) -> float:
     """TorchRL as its A2C examples use it: collector, features as keys, GAE and loss with networks of their own passes.
 
@@ -42,15 +29,15 @@ def stock_torchrl(config: TrainConfig, updates: int) -> float:
     network = build_policy(config, table, world.names, world=world)
     trunk = TensorDictSequential(
         TensorDictModule(network.encoder, ["observation", "goal_observation"], ["fused"]),
-        TensorDictModule(AnyBatch(network.heads.trunk), ["fused", "scene"], ["hidden"]),
+        TensorDictModule(network.heads.trunk, ["fused", "scene"], ["hidden"]),
     )
     actor = ProbabilisticActor(
-        TensorDictModule(AnyBatch(network.heads.policy), ["hidden", "scene"], ["logits"]),
+        TensorDictModule(network.heads.policy, ["hidden", "scene"], ["logits"]),
         in_keys=["logits"],
         distribution_class=Categorical,
         return_log_prob=True,
     )
-    critic = TensorDictModule(AnyBatch(network.heads.value), ["hidden", "scene"], ["state_value"])
+    critic = TensorDictModule(network.heads.value, ["hidden", "scene"], ["state_value"])
     operator = ActorValueOperator(trunk, actor, critic)
     policy, value = operator.get_policy_operator(), operator.get_value_operator()
     gae = GAE(gamma=options.gamma, lmbda=options.lmbda, value_network=value, deactivate_vmap=True)

@@ -64,8 +64,7 @@ def build_world(config: TrainConfig, extractor: str | None = None) -> World:
         SceneError: a scene or goal that does not exist or cannot be used.
         ConfigError: the device is not available, or so many workers are impossible.
     """
-    if config.device == Device.cuda and not torch.cuda.is_available():
-        raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
+    check_device(config.device)
     source = make("source", config.source, config.trust)
     scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
     if extractor is not None:
@@ -76,6 +75,12 @@ def build_world(config: TrainConfig, extractor: str | None = None) -> World:
     if workers > 1 and config.device != Device.cpu:
         raise ConfigError(f"reinforcement.workers={workers}: several workers learn on the CPU only; use device=cpu")
     return make_world(scenes, build_goals(config, scenes).trained).to(config.device)
+
+
+def check_device(device: Device) -> None:
+    """Raise `ConfigError` if the device is not available."""
+    if device == Device.cuda and not torch.cuda.is_available():
+        raise ConfigError("device=cuda: torch sees no CUDA device here; use device=cpu")
 
 
 def build_goals(config: TrainConfig, scenes: Sequence[Scene]) -> ChosenGoals:

@@ -94,13 +94,17 @@ class TrainState:
         random = {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)}
         if self.generator is not None:
             random["cpu"] = self.generator.get_state()
+        optimiser = self.optimiser.state_dict()
+        for group in optimiser["param_groups"]:
+            if isinstance(group["lr"], Tensor):  # while it is captured in a graph
+                group.update(lr=float(group["lr"]), capturable=False)
         return {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "losses": own_of_losses,
-            "optimiser": optimiser_state(self.optimiser),
+            "optimiser": optimiser,
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
             "random": random,
@@ -117,15 +121,6 @@ class TrainState:
         self.meter.load_state_dict(state["meter"])
         self.env.base_env.generator.set_state(state["random"]["env"])
         restore_random_state(state["random"])
-
-
-def optimiser_state(optimiser: Optimizer) -> State:
-    """Return its state as it is without a graph, in which the learning rate is a tensor."""
-    state = optimiser.state_dict()
-    for group in state["param_groups"]:
-        if isinstance(group["lr"], Tensor):
-            group.update(lr=float(group["lr"]), capturable=False)
-    return state
 
 
 def random_state(device: torch.device) -> dict[str, Tensor]:
@@ -182,7 +177,7 @@ class Imitation:
             "imitation": {"step": self.step, "loss": self.loss, "accuracy": self.accuracy},
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
-            "optimiser": optimiser_state(self.optimiser),
+            "optimiser": self.optimiser.state_dict(),
             "random": random_state(next(self.policy.parameters()).device),
         }
 

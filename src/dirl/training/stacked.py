@@ -35,7 +35,7 @@ from dirl.models.policy import VIEW_IDS, in_scene
 from dirl.runs.checkpoints import Facts, is_finished
 from dirl.runs.folder import Run
 from dirl.scenes.io.bounded import read_text
-from dirl.training.build import build_env, build_imitation_loss, build_losses, describe
+from dirl.training.build import build_env, build_imitation_loss, build_losses, check_device, describe
 from dirl.training.job import Components, Stages, build_components, conclude, open_job, run_stages
 from dirl.training.loops import TrainState, updates
 from dirl.training.objectives import FULL_BATCH, Losses, set_learning_rate, trained_parameters
@@ -107,6 +107,7 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Loop, learn: Loo
     stacks: dict[tuple[Any, ...], dict[int, tuple[Run, Components]]] = {}
     of_kind: dict[str, Components] = {}
     for number, job in enumerate(jobs):
+        check_device(job.composed.device)  # an error of every job is told once
         try:
             run, initial = open_job(job.composed, job.folder, job.overrides)
             if is_finished(run.folder):
