@@ -290,26 +290,15 @@ def bootstrap(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDict
         batch: ``[B, T]`` with ``state_value``; or ``[R, B, T]`` of the runs of a stack.
         critic: the whole value operator, from views to ``state_value``.
     """
-    if batch.batch_dims > 2:
-        return _bootstrap_all(batch, critic)
+    if batch.batch_dims > 2:  # a stack looks values up, and no shape of its may depend on them
+        batch["next", "state_value"] = critic(batch["next"].select(*critic.in_keys))["state_value"]
+        return batch
     values = torch.zeros_like(batch["state_value"])
     values[:, :-1] = batch["state_value"][:, 1:]
     unknown = batch["next", "truncated"].squeeze(-1).clone()
     unknown[:, -1] = True
     values[unknown] = critic(batch["next"].select(*critic.in_keys)[unknown])["state_value"]
     batch["next", "state_value"] = values
-    return batch
-
-
-def _bootstrap_all(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDictBase:
-    """The same by two values of each agent, as no shape may depend on values: at most one episode is truncated."""
-    truncated = batch["next", "truncated"]
-    first = truncated.squeeze(-1).int().argmax(-1)
-    last = torch.full_like(first, batch.shape[-1] - 1)
-    ends = batch["next"].select(*critic.in_keys).gather(batch.ndim - 1, torch.stack([first, last], -1))
-    at_first, at_last = critic(ends)["state_value"].split(1, -2)
-    following = torch.cat([batch["state_value"][..., 1:, :], at_last], -2)
-    batch["next", "state_value"] = torch.where(truncated, at_first, following)
     return batch
 
 

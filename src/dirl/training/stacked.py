@@ -77,7 +77,6 @@ def why_alone(config: TrainConfig, components: Components) -> str | None:
         "views of earlier steps": config.observation[TARGET] != "dirl.envs.SurroundingViews",
         "until=stable": options.until != Until.frames,
         "several updates from a rollout": options.epochs * options.minibatches > 1,
-        "rollouts longer than episodes": options.n_steps > options.max_steps,
         "sampled demonstrations": sampled,
         "rounds of DAgger": imitation.rounds > 0,
         "noise": imitation.noise > 0,
