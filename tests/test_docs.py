@@ -21,7 +21,7 @@ from forks import empty_file, leave_empty
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from dirl.config.folders import VARIABLE
-from dirl.reporting import pictures
+from dirl.reporting import pictures, trajectories
 
 DOCS = ROOT / "docs"
 PAGES = [
@@ -143,8 +143,9 @@ def run_command(words, monkeypatch):
     with monkeypatch.context() as patch:
         if words[1].endswith("train.py"):  # its pictures are looked at in test_train.py
             patch.setattr(FigureCanvasAgg, "draw", leave_empty)
-            for name in ("draw_policy", "draw_trajectories", "write_gif"):
-                patch.setattr(pictures, name, empty_file)
+            patch.setattr(pictures, "draw_policy", empty_file)
+            patch.setattr(trajectories, "draw_trajectories", empty_file)
+            patch.setattr(pictures, "write_gif", empty_file)
         runpy.run_path(str(ROOT / words[1]), run_name="__main__")
 
 

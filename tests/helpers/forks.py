@@ -118,10 +118,10 @@ def no_pictures():
     """Leave the pictures empty, which take most of a short run's time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from dirl.reporting import pictures
+    from dirl.reporting import pictures, trajectories
 
     FigureCanvasAgg.draw = leave_empty
-    pictures.draw_policy = pictures.draw_trajectories = pictures.write_gif = empty_file
+    pictures.draw_policy = trajectories.draw_trajectories = pictures.write_gif = empty_file
 
 
 def empty_file(*arguments, **options):
