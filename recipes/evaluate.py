@@ -147,6 +147,9 @@ DRAWN_SCENES = 8
 LIVE_EPISODES = 100
 """Likewise, in a live world."""
 
+PLANS = {"recogniser": "ncc", "episodic_memory": "planning"}
+"""What an agent that localises chooses instead where views return, if neither is asked for."""
+
 CHANGING = (
     "these scenes never look the same twice, and the correlation of the paper misses nearly every arrival there: try "
     "recogniser=learned episodic_memory=localising"
@@ -236,11 +239,7 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
     live = options.simulator is not None  # a navigator walks there, see `walk_live`
     asked = options.episodic_memory, options.recogniser, options.map
     if not live and asked == (None, None, None) and views_return(memory, world):
-        plans = {
-            "episodic_memory": group_options("episodic_memory", "planning"),
-            "recogniser": group_options("recogniser", "ncc"),
-        }
-        changes = {**changes, **plans}
+        changes = {**changes, **{name: group_options(name, option) for name, option in PLANS.items()}}
     return load_trained(saved, options.checkpoint, changes, options.trust or [], world), changes
 
 
@@ -344,24 +343,18 @@ def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     encoder = packaged_encoder(scene.extractor)
     if encoder is None:
         raise RunError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
-    recogniser, memory = options.recogniser, options.episodic_memory
-    asked = recogniser is not None or memory is not None
-    # As in `loaded`: a simulator may show the same views again, unless the agent errs in its turns.
-    if (
-        not asked
-        and not options.turn_error
-        and views_return(protocol.memory, protocol.world)
-        and repeats(world, state_pose(scene, 0))
-    ):
-        recogniser, memory = "ncc", "planning"
+    chosen: Mapping[str, str | None] = {"recogniser": options.recogniser, "episodic_memory": options.episodic_memory}
+    localises = not any(chosen.values()) and views_return(protocol.memory, protocol.world)
+    # A simulator may show the same views again, unless the agent errs in its turns.
+    if localises and not options.turn_error and repeats(world, state_pose(scene, 0)):
+        chosen = PLANS
     navigator = Navigator.load(
         options.checkpoint,
         encoder,
         device=config.device,
         trust=options.trust,
-        recogniser=recogniser,
-        episodic_memory=memory,
         turns=turns,
+        **chosen,
     )
     navigator.threshold = config.stop.threshold
     navigator.encoder = Remembered(navigator.encoder)

@@ -105,8 +105,9 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Loop, learn: Loo
     results: dict[int, Facts | Exception] = {}
     stacks: dict[tuple[Any, ...], dict[int, tuple[Run, Components]]] = {}
     of_kind: dict[str, Components] = {}
+    for device in {job.composed.device for job in jobs}:  # an error of every job is told once, before all work
+        check_device(device)
     for number, job in enumerate(jobs):
-        check_device(job.composed.device)  # an error of every job is told once
         try:
             run, initial = open_job(job.composed, job.folder, job.overrides)
             if is_finished(run.folder):
