@@ -110,7 +110,10 @@ class OneUpdate:
 
 
 def first_update(*options):
-    """How far the weights of two runs are from the CPU's after an update with the same rollout."""
+    """How far the weights of two runs are from the CPU's after an update with the same rollout.
+
+    On a CPU: those by two threads from those by one, whose principal axes are turned otherwise.
+    """
     rollout, collect, weights = [], recipe.collect, []
 
     def collected(env, operator, agents, n_steps):
@@ -118,7 +121,9 @@ def first_update(*options):
             rollout.append(collect(env, operator, agents, n_steps)[0])
         return rollout[0].clone().to(env.device), agents
 
-    for device in ("cpu", DEVICE):
+    threads = torch.get_num_threads()
+    for number, device in enumerate(("cpu", DEVICE), 1):
+        torch.set_num_threads(number if DEVICE == "cpu" else threads)
         configs = [typed(compose_training([*options, f"device={device}", f"seed={seed}"])) for seed in range(2)]
         prepare_device(configs[0].device, configs[0].precision)
         members = [build_components(SimpleNamespace(config=config, saved=None)) for config in configs]
@@ -130,6 +135,7 @@ def first_update(*options):
         plain = [plain_weights(member.policy) for member in members]
         weights.append([own[name].float().cpu() for own in plain for name in own if name.endswith(("weight", "bias"))])
     recipe.collect = collect
+    torch.set_num_threads(threads)
     torch.backends.cuda.matmul.allow_tf32 = False
     apart = torch.cat([(one - other).abs().flatten() for one, other in zip(*weights, strict=True)])
     beyond = (apart > 1e-5).float().mean()

@@ -8,6 +8,7 @@ from parts import make_parts, train_in
 
 from dirl.agent.decisions import answers
 from dirl.config.schemas import Device
+from dirl.models import ObservationTable
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
 from dirl.training.build import load_trained
@@ -45,6 +46,16 @@ def test_a_training_on_another_device_learns_the_same(options, tmp_path, elsewhe
     on_cpu, there = trained
     assert all(isinstance(value, Elsewhere) for value in there.values())
     assert all(torch.equal(value.cpu(), on_cpu[name]) for name, value in there.items())
+
+
+def test_the_axes_of_observations_are_found_by_the_cpu(monkeypatch, elsewhere):
+    given, eigh = [], torch.linalg.eigh
+    monkeypatch.setattr(torch.linalg, "eigh", lambda matrix: given.append(matrix) or eigh(matrix))
+    features = torch.rand(6, 5).to(DEVICE)
+    surrounding = torch.stack([torch.arange(6)] * 4, 1).to(DEVICE)
+    for seen in (surrounding, None):
+        assert isinstance(ObservationTable(features, None, None, None, seen, 4).coordinates, Elsewhere)
+    assert not any(isinstance(matrix, Elsewhere) for matrix in given)
 
 
 def test_a_policy_trained_on_the_cpu_walks_alike_on_another_device(tmp_path, elsewhere):

@@ -163,17 +163,18 @@ class ObservationTable(FeatureTable):
         super().__init__(features, mean, std, axes)
         self.register_buffer("surrounding", surrounding, persistent=False)
         self.slots = views if surrounding is None else 1
-        # The singular value decomposition of the observations X = U L V', by way of X X' = U L^2 U'.
-        rows = self.table.double()
+        # The singular value decomposition of the observations X = U L V', by way of X X' = U L^2 U'. Always by the CPU:
+        # four views seen from four headings give pairs of equally long axes, which every device would turn otherwise.
+        rows = self.table.cpu().double()
         products = rows @ rows.T
         if surrounding is None:
             products = products[:-1, :-1]
         else:
-            products = torch.stack([products[views][:, views] for views in surrounding.unbind(1)]).sum(0)
+            products = torch.stack([products[views][:, views] for views in surrounding.cpu().unbind(1)]).sum(0)
         variance, left = torch.linalg.eigh(products)
         kept = variance > DEPENDENT * variance[-1]
-        # In the state_dict, because another machine finds other axes where two are nearly equally long.
-        self.register_buffer("coordinates", (left[:, kept] * variance[kept].sqrt()).to(features.dtype))
+        # In the state_dict, because another machine finds other axes where two are equally long.
+        self.register_buffer("coordinates", (left[:, kept] * variance[kept].sqrt()).to(features))
 
     surrounding: Tensor | None
     coordinates: Tensor
@@ -208,8 +209,10 @@ class ObservationTable(FeatureTable):
 def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation of each feature over the states, float32 ``[D]`` each.
 
-    A feature that never changes gets the deviation one, so that it becomes zero.
+    A feature that never changes gets the deviation one, so that it becomes zero. Both are added up by the CPU, for all
+    devices alike.
     """
+    features = features.cpu()
     mean, std = features.mean(0), features.std(0)
     return mean, torch.where(std > 1e-6, std, torch.ones_like(std))
 
