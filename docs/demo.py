@@ -349,8 +349,9 @@ def built_in_room() -> tuple[Path, list[int]]:
 
 def tour(folder: Path) -> dict[str, tuple[Path, list[int]]]:
     """A dump of a tour of a generated building, as `scenes.py tour` makes it, and goals, by its name."""
+    from buildings import sample_building, write_building_tour
+
     from dirl.scenes import write_dump
-    from dirl.sources.rooms.building import sample_building, write_building_tour
     from dirl.sources.tours.images import cut_views
     from dirl.sources.tours.moves import tour_scene
     from dirl.sources.tours.read import read_tour

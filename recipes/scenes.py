@@ -21,7 +21,7 @@ from typing import Annotated
 
 from dirl.cli.start import check_writable, new_file, run, start
 from dirl.config.options import Bounds, option
-from dirl.config.schemas import Correlation, Device, EncoderPrecision, Match, NotNegative, Positive, Seed
+from dirl.config.schemas import Correlation, Device, Match, NotNegative, Positive, Seed
 
 Pixels = Annotated[int, Bounds(16, 4096)]
 FieldOfView = Annotated[float, Bounds(10, 150)]
@@ -262,9 +262,6 @@ class SampleOptions(EncodedPatches):
     turn: Turn = option(TURN, 90)
     fine: bool = option(FINER, True)
     workers: Positive | None = option("processes, one room each; null = all cores", None)
-    precision: EncoderPrecision = option(
-        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", EncoderPrecision.float32
-    )
     looks: Looks = option(LOOKS, 0)
     changes: LookChanges = option(CHANGES, LookChanges)
 
@@ -286,9 +283,6 @@ class EncodeOptions(EncodedPatches):
         "resnet50 (as the built-in rooms) | resnet50_small (96x128 pixels) | efficientnet_lite0 (Apache 2.0) | "
         "weights of a ResNet-50 (.pth) | a YAML file of your own",
         "resnet50",
-    )
-    precision: EncoderPrecision = option(
-        "float32 | bfloat16: four times as fast on CPUs with AMX, 1 % off; ResNet-50 only", EncoderPrecision.float32
     )
 
 
@@ -635,7 +629,7 @@ def chosen_encoder(options: Encoded) -> ViewEncoder | None:
     """The encoder that an option ``encoder`` names, as far as the command's other options describe it."""
     if options.encoder is None:
         return None
-    others = [name for name in ("precision", "patches", "fine_patches") if hasattr(options, name)]
+    others = [name for name in ("patches", "fine_patches") if hasattr(options, name)]
     return load_encoder(options.encoder, options.device, **{name: getattr(options, name) for name in others})
 
 

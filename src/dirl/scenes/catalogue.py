@@ -1,12 +1,12 @@
 """The available scenes by name: built-in rooms, published dumps, any file."""
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+from dirl.scenes.io.checked import check_choice
 from dirl.scenes.io.read import ROOMS, Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
 
@@ -64,13 +64,8 @@ class Rooms:
                 continue
             path = self.folder() / f"{name}.h5"
             if not path.is_file():
-                choices = [*sorted(path.stem for path in self.folder().glob("*.h5")), "all"]
-                near = difflib.get_close_matches(name, choices, n=1)
-                hint = f" (did you mean '{near[0]}'?)" if near else ""
-                raise SceneError(
-                    f"there is no scene '{name}'{hint}; choose from {choices}, a list of them such as "
-                    f"[{','.join(choices[:2])}], or the path of a dump file (.h5)"
-                )
+                known = sorted(path.stem for path in self.folder().glob("*.h5"))
+                check_choice(name, [*known, "all", "a list of them", "<a dump>.h5"], "", "scene")
             found.append(Dump(path, name=name, source=self.label))
         return found
 

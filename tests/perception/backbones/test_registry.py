@@ -62,8 +62,6 @@ def test_patches_of_the_shipped_network_are_of_small_views(weights):
     found = encode_all(small, VIEWS.numpy(), 5, "here")
     assert found.patches.dtype == np.float16
     np.testing.assert_allclose(found.patches, patches, rtol=2e-3, atol=2e-3)
-    rounded = load_encoder("resnet50_small", precision="bfloat16")(VIEWS)
-    assert 0 < (small(VIEWS) - rounded).norm() < 0.05 * rounded.norm()
 
 
 def test_what_an_encoder_cannot_do_is_told_in_one_line():
@@ -71,7 +69,6 @@ def test_what_an_encoder_cannot_do_is_told_in_one_line():
         ("nowhere.pth", {}, "nowhere.pth: there is no such file"),
         ("resnet5", {}, "there is no encoder 'resnet5'; did you mean resnet50"),
         ("resnet50_small", {"fine_patches": True}, "fine_patches=true: encoder=resnet50_small has none; choose"),
-        ("efficientnet_lite0", {"precision": "bfloat16"}, "precision=bfloat16: .* computes in float32 only"),
     ):
         with pytest.raises(ValueError, match=says) as caught:
             load_encoder(name, **options)

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from closet import closet
-
-from dirl.sources.rooms.building import (
+from buildings import (
     DOORWAY,
     WALL,
     Building,
@@ -15,6 +13,8 @@ from dirl.sources.rooms.building import (
     walls,
     write_building_tour,
 )
+from closet import closet
+
 from dirl.sources.rooms.navigation import clearance
 from dirl.sources.rooms.scenery import Scenery
 from dirl.sources.tours import read_tour

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from buildings import Building, write_building_tour
 from closet import closet
 from PIL import Image
 from tours import grid_truth, tour_of, turned
 
-from dirl.sources.rooms.building import Building, write_building_tour
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import LEAD, align, wrap
 from dirl.sources.tours.columns import Seen, columns, compare

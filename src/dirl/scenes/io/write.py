@@ -49,11 +49,8 @@ def write_dump(
     """
     path = Path(path)
     check_name(scene.name, str(path))
-    with _whole_file(path) as file:
-        file.attrs.update({"name": scene.name, "source": scene.source, "actions": list(ACTIONS)})
-        file.attrs.update(attributes or {})
-        if scene.goals:
-            file.attrs["goals"] = np.array(scene.goals)
+    with _whole_file(path, scene) as file:
+        file.attrs.update({"actions": list(ACTIONS), **(attributes or {})})
         file.create_dataset("graph", data=scene.graph.astype(np.int32), compression="gzip")
         file["location"], file["rotation"] = scene.positions, scene.headings
         if len(scene) <= MOST_WITH_DISTANCES:
@@ -114,10 +111,7 @@ def export_icra17(scene: Scene, path: str | Path) -> None:
             f"{scene.origin}: rotation: state {state} is headed {scene.headings[state]:g} degrees; the layout icra17 "
             "holds whole degrees"
         )
-    with _whole_file(Path(path)) as file:
-        file.attrs.update({"name": scene.name, "source": scene.source})
-        if scene.goals:
-            file.attrs["goals"] = np.array(scene.goals)
+    with _whole_file(Path(path), scene) as file:
         file["graph"] = scene.graph
         file["location"] = scene.positions
         file["rotation"] = headings
@@ -133,9 +127,12 @@ def export_icra17(scene: Scene, path: str | Path) -> None:
 
 
 @contextmanager
-def _whole_file(path: Path) -> Iterator[h5py.File]:
-    """A new dump to write to; when the context ends it gets its digest and its name. If it fails there is no file."""
+def _whole_file(path: Path, scene: Scene) -> Iterator[h5py.File]:
+    """A new dump of a scene to write to; when the context ends it gets its digest and its name, or there is none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as unfinished, h5py.File(unfinished, "w") as file:
+        file.attrs.update({"name": scene.name, "source": scene.source})
+        if scene.goals:
+            file.attrs["goals"] = np.array(scene.goals)
         yield file
         write_digest(file)

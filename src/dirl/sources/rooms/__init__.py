@@ -5,7 +5,7 @@ The built-in rooms were made with it.
 
 from dirl.sources.rooms.build import build_room, built_in_rooms, describe_room
 from dirl.sources.rooms.checks import check_room
-from dirl.sources.rooms.description import RoomDescription, read_description, write_description
+from dirl.sources.rooms.description import RoomDescription, description_text, read_description
 from dirl.sources.rooms.sampling import KINDS, sample_room
 
 __all__ = [
@@ -15,7 +15,7 @@ __all__ = [
     "built_in_rooms",
     "check_room",
     "describe_room",
+    "description_text",
     "read_description",
     "sample_room",
-    "write_description",
 ]

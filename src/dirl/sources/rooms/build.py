@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
+from dirl.scenes.io.checked import check_choice
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import decode, encode
@@ -47,9 +48,7 @@ def describe_room(description: str | Path | RoomDescription) -> RoomDescription:
         return description
     if Path(description).suffix == ".toml":
         return read_description(description)
-    if str(description) not in built_in_rooms():
-        choices = ", ".join(built_in_rooms())
-        raise SceneError(f"there is no built-in room '{description}'; choose from {choices}, or name a .toml file")
+    check_choice(str(description), [*built_in_rooms(), "<a room>.toml"], "", "built-in room")
     return read_description(DESCRIPTIONS / f"{description}.toml")
 
 

@@ -39,7 +39,6 @@ class RoomSettings:
         turn: degrees of a turn.
         fine: the light of the built-in rooms; otherwise a coarser one, ten times faster.
         encoder: see `dirl.perception.backbones.load_encoder`; None for no features.
-        precision: of the encoder.
         patches: whether to store patches too.
         fine_patches: whether to store fine ones.
         device: of the encoder; the only setting that rooms of one collection need not share.
@@ -52,7 +51,6 @@ class RoomSettings:
     turn: float = 90
     fine: bool = True
     encoder: str | None = "resnet50"
-    precision: str = "float32"
     patches: bool = False
     fine_patches: bool = False
     device: str = "cpu"
@@ -66,7 +64,7 @@ class RoomSettings:
         from dirl.perception.backbones import load_encoder
 
         patches = {"patches": self.patches, "fine_patches": self.fine_patches}
-        return load_encoder(self.encoder, self.device, precision=self.precision, **patches)
+        return load_encoder(self.encoder, self.device, **patches)
 
     def stored(self, encoder: "ViewEncoder | None") -> dict[str, object]:
         """Return the settings as each room stores them: the encoder by its description, not by its name."""

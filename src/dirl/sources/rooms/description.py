@@ -286,20 +286,6 @@ def description_text(room: RoomDescription) -> str:
     return tomli_w.dumps(tables)
 
 
-def write_description(description: RoomDescription, path: str | Path) -> None:
-    """Write a room as TOML.
-
-    Raises:
-        SceneError: this file exists already.
-    """
-    path = Path(path)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(description_text(description))
-    except FileExistsError:
-        raise SceneError(f"{path}: this file exists already; it is not overwritten") from None
-
-
 def _changed(item: Material | Piece) -> dict[str, object]:
     """Return what differs from the defaults, options among the rest."""
     defaults = {option.name: option.default for option in fields(item)}

@@ -1,4 +1,10 @@
-"""Random rooms in a row, joined by doorways, and a tour of them: panoramas some metres apart, and links."""
+"""Random rooms in a row, joined by doorways, and a tour of them: panoramas some metres apart, and links.
+
+    python examples/buildings.py "kinds=[bedroom,bathroom,kitchen]" seed=10001 out=flat
+    python recipes/scenes.py tour path=flat out=flat.h5
+
+Without furniture in front of the doorways, and rendered as the built-in rooms are: synthetic.
+"""
 
 import csv
 from collections.abc import Sequence
@@ -11,6 +17,8 @@ from PIL import Image
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order
 
+from dirl.cli.start import run, start
+from dirl.config.options import option
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Material, RoomDescription
 from dirl.sources.rooms.layout import Opening, assemble, materials_of
@@ -39,6 +47,16 @@ ROOM_FOR_TRIPOD = 0.3
 
 FINE = 0.25
 """Metres between the points of which panoramas are chosen."""
+
+
+@dataclass
+class Options:
+    """What the command line may say."""
+
+    kinds: list[str] = option("of the rooms from west to east: two to four of bathroom, bedroom, kitchen, living_room")
+    out: str = option("the folder of the panoramas and their tables, made if there is none")
+    seed: int = option("of the first room; of the others the numbers that follow", 0)
+    height: int = option("of a panorama, pixels; it is twice as wide", 128)
 
 
 @dataclass(frozen=True)
@@ -249,3 +267,14 @@ def write_building_tour(
         with (folder / f"{name}.csv").open("w", newline="") as stream:
             csv.writer(stream).writerows(rows)
     return found
+
+
+def main(kinds: list[str], out: str, seed: int, height: int) -> None:
+    """Draw a building and the tour of it."""
+    found = write_building_tour(sample_building(kinds, seed), Path(out), size=(height, 2 * height), seed=seed)
+    print(f"{out}: {len(found.places)} panoramas, {len(found.links)} links")
+
+
+if __name__ == "__main__":
+    options = start(__doc__, Options)
+    run(lambda: main(**vars(options)))
