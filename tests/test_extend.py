@@ -11,7 +11,6 @@ import torch
 from commands import ROOT, room_file, train_config
 from parts import Loop, make_parts, train_state
 from refusals import refused
-from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.data import Unbounded
 from torchrl.envs import TensorDictPrimer
@@ -20,7 +19,6 @@ from train import learn
 from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import shortest_episodes
-from dirl.evaluation.experts import ShortestPathExpert
 from dirl.evaluation.protocol import metrics, report
 from dirl.models import frozen
 from dirl.perception.backbones import load_encoder
@@ -186,25 +184,6 @@ def test_discrete_sac_learns_from_nothing(parts):
     assert before["spl"] < 0.4
     assert random["spl"] < 0.4
     assert after["spl"] > 0.6
-
-
-def test_a_noisy_expert_shows_other_actions_as_often_as_it_should(parts):
-    from noisy import NoisyExpert
-
-    _, protocol, _ = parts()
-    world = protocol.world
-    goal_index, state = (each.repeat(100) for each in world.pairs())
-    rows = TensorDict({"state": state, "goal": world.goals[goal_index]}, batch_size=[len(state)])
-
-    def shown(expert):
-        return expert(rows.clone())["expert_action"]
-
-    best, noisy = shown(ShortestPathExpert(world)), shown(NoisyExpert(world, seed=1, noise=0.3))
-    advises = best >= 0
-    assert (noisy[~advises] == -1).all()
-    assert (noisy != best)[advises].float().mean().item() == pytest.approx(0.3, abs=0.03)
-    assert torch.equal(noisy, shown(NoisyExpert(world, seed=1, noise=0.3)))
-    assert not torch.equal(noisy, shown(NoisyExpert(world, seed=2, noise=0.3)))
 
 
 def test_a_discriminator_gives_the_reward_before_advantages_are_computed(parts):

@@ -10,10 +10,8 @@ from refusals import refused
 from torch import nn
 
 from dirl.config.components import check_components, components, find_class, make, packages_to_trust, schedules
-from dirl.config.files import config_text, read_config
 from dirl.config.options import Bounds
 from dirl.config.schemas import Schedule
-from dirl.envs import NavigationEnv
 
 
 class Mine(nn.Module):
@@ -137,16 +135,3 @@ def test_the_packages_that_a_configuration_needs_trusted_are_named():
     config.losses["gail"] = {"_target_": "theirs.GAIL"}
     config.optimiser = {"_target_": "torch.optim.Adam"}
     assert packages_to_trust(config) == ["mine", "theirs"]
-
-
-class Windy(NavigationEnv):
-    """An environment with an option of its own, and without those of dirl's."""
-
-    def __init__(self, world, num_agents, wind: float):
-        super().__init__(world, num_agents)
-
-
-def test_an_environment_of_ones_own_needs_no_option_of_dirls(monkeypatch):
-    monkeypatch.setattr(Windy, "__module__", "house")
-    own = {"env": {"_target_": "house.Windy", "wind": 0.1}}
-    assert read_config(config_text(train_config()), "run", own, trust=["house"]).env == own["env"]

@@ -50,16 +50,6 @@ def test_steps_follow_the_graph_and_earn_the_reward(room, scene):
             assert not truncated
 
 
-def test_a_seed_decides_the_draws_and_goals_are_drawn_among_the_scenes_own():
-    env = gymnasium.make(NAME, scene="bathroom_02")
-    drawn = []
-    for _ in range(2):
-        infos = [env.reset(seed=3 if number == 0 else None)[1] for number in range(60)]
-        drawn.append([(info["goal"], info["state"]) for info in infos])
-    assert drawn[0] == drawn[1]
-    assert {goal for goal, _ in drawn[0]} == {26, 37, 43, 53, 69}
-
-
 def test_many_agents_share_the_tables_of_their_scene_until_its_file_changes(room, dump):
     vector = gymnasium.make_vec(NAME, num_envs=3, **room, max_episode_steps=5)
     seen, infos = vector.reset(seed=1)

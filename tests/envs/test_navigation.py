@@ -40,24 +40,6 @@ def test_starts_reach_their_goal_and_are_not_it(world):
     assert starts == {0: set(range(24)) - {0}, 13: set(range(24)) - {13}, 25: {24, 26, 27}}
 
 
-@pytest.mark.parametrize(("state", "action"), [(4, BACK), (28, AHEAD)])
-def test_a_blocked_move_stays_and_earns_the_collision_reward(world, state, action):
-    goal = 13 if state < 24 else 25
-    after = move(NavigationEnv(world), [state], [goal], [action])
-    assert after["state"].tolist() == [state]
-    assert after["reward"].tolist() == [[pytest.approx(-0.1)]]
-    assert not after["done"].any()
-
-
-def test_reaching_the_goal_earns_the_goal_reward_and_ends_the_episode(world):
-    # By a turn and by a step back; the third agent arrives at a goal that is not its own.
-    after = move(NavigationEnv(world, 3), [3, 12, 14], [0, 0, 0], [RIGHT, BACK, LEFT])
-    assert after["state"].tolist() == [0, 0, 13]
-    assert after["reward"].squeeze(-1).tolist() == pytest.approx([10, 10, -0.01])
-    assert after["terminated"].squeeze(-1).tolist() == [True, True, False]
-    assert torch.equal(after["terminated"], after["done"])
-
-
 def test_a_false_stop_ends_the_episode_with_the_step_reward(world):
     stop = no_stop(world)
     stop[world.pair(torch.tensor(0), torch.tensor(5))] = True

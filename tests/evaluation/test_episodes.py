@@ -18,14 +18,6 @@ KINDS = (SurroundingViews, SequentialViews)
 BOTH = pytest.mark.parametrize("kind", KINDS)
 
 
-def test_every_start_is_each_state_that_reaches_the_goal_and_is_not_it(world):
-    goal_index, start = every_start(world)
-    room, corner = set(range(24)), set(range(24, 36))
-    wanted = [room - {0}, room - {13}, corner - {30}, {36, 38, 39}]
-    assert [set(start[goal_index == index].tolist()) for index in range(4)] == wanted
-    assert len(start) == sum(map(len, wanted)) == 60
-
-
 def test_sampled_starts_are_as_many_for_each_goal_and_uniform_among_those_that_reach_it(world):
     goal_index, start = sampled_starts(world, 6000, seed=1)
     assert goal_index.bincount().tolist() == [6000] * 4
@@ -147,16 +139,6 @@ def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, 
     for key in ("success", "false_stop", "missed_stop"):
         assert len(set(found[key])) == 2, f"no variety of {key}: the comparison says nothing"
     assert (~episodes.success & ~episodes.false_stop & ~episodes.missed_stop).any()
-
-
-def test_a_memory_ends_the_circles_of_a_greedy_policy(world):
-    """A policy that always turns right finds only goals in its place; with the memory it tries what it has not."""
-    starts = every_start(world)
-    options = {"observation": SurroundingViews(world), "max_steps": 200}
-    without = run_episodes(always(RIGHT, 1.0), world, starts, **options)
-    remembered = run_episodes(always(RIGHT, 1.0), world, starts, memory=PlanningMemory(), **options)
-    assert without.success.float().mean() < 0.3
-    assert remembered.success.all()
 
 
 def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch):

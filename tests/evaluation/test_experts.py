@@ -4,7 +4,6 @@ from tensordict import TensorDict
 
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import (
-    DEMONSTRATED,
     RandomPolicy,
     ShortestPathExpert,
     ShortestPathPolicy,
@@ -40,16 +39,6 @@ def test_random_states_are_a_fraction_and_depend_on_the_seed(world):
     assert [int(one.sum()) for one in chosen] == [6 + 3 + 2] * 3
     assert torch.equal(chosen[0], chosen[1])
     assert not torch.equal(chosen[0], chosen[2])
-
-
-def test_a_demonstration_holds_the_experts_action_and_the_scene(world):
-    shows = shown_by_expert(world, 1)
-    kinds = dict.fromkeys(DEMONSTRATED, torch.int64) | {"optimal_actions": torch.bool}
-    assert {key: value.dtype for key, value in shows.items()} == kinds
-    goal_index = torch.tensor([world.goals.tolist().index(goal) for goal in shows["goal"].tolist()])
-    assert torch.equal(shows["expert_action"], expert_action(world, goal_index, shows["state"]))
-    assert torch.equal(shows["scene"], world.scene_of[shows["state"]])
-    assert torch.equal(shows["scene"], world.scene_of[shows["goal"]])
 
 
 @pytest.mark.parametrize(

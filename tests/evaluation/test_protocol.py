@@ -1,34 +1,12 @@
 import json
 import math
-from itertools import pairwise
 
 import pytest
-import torch
-from networks import make_policy
-from policies import RIGHT, Asked, always, outcome, run_episodes
+from policies import RIGHT, always, run_episodes
 
-from dirl.envs import SequentialViews, SurroundingViews
+from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
-from dirl.evaluation.protocol import WINDOW, EpisodeMeter, EvaluationProtocol, report
-
-KINDS = (SurroundingViews, SequentialViews)
-BOTH = pytest.mark.parametrize("kind", KINDS)
-
-
-@BOTH
-def test_a_networks_trajectories_are_its_episodes_walked_by_asking_it_directly(world, kind):
-    network = make_policy(world.features, world.names, width=16, seed=5)
-    starts, options = every_start(world), {"observation": kind(world), "max_steps": 30}
-    direct = run_episodes(Asked(lambda rows: network(rows.copy())["logits"]), world, starts, **options)
-    network.cache(None if kind.history else world.surrounding)
-    protocol = EvaluationProtocol(world, starts=starts, **options)
-    episodes, paths = protocol.trajectories(network, starts)
-    assert outcome(episodes) == outcome(protocol.run(network)) == outcome(direct)
-    assert [path[0] for path in paths] == starts[1].tolist()
-    assert [len(path) - 1 for path in paths] == episodes.steps.tolist()
-    assert torch.equal(torch.tensor([path[-1] for path in paths]) == world.goals[starts[0]], episodes.success)
-    assert all(after in world.graph[before] for path in paths for before, after in pairwise(path))
-    assert len(set(episodes.success.tolist())) == 2
+from dirl.evaluation.protocol import WINDOW, EpisodeMeter, report
 
 
 def test_a_report_covers_each_scene_and_each_goal_by_its_number_in_the_scene(world):

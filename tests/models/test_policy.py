@@ -33,17 +33,6 @@ def test_torchrls_operators_compute_what_the_network_computes(policy, cached):
     assert len(calls) == 2  # once for observations, once for goals
 
 
-@pytest.mark.parametrize("cached", [False, True])
-def test_batches_of_agents_and_time_are_read_as_rows(policy, cached):
-    if cached:
-        policy.cache(SURROUNDING)
-    rows = batch_of(*seen())
-    expected, found = policy(rows.copy()), policy(rows.copy().reshape(8, 10))
-    assert found["logits"].shape == (8, 10, 4)
-    for key in OUTPUTS:
-        torch.testing.assert_close(found[key].flatten(0, 1), expected[key])
-
-
 def test_the_published_network_has_its_number_of_parameters():
     made = make_policy(torch.zeros(1, 2048), ["a", "b", "c", "d"], width=512)
     assert count_parameters(made) == 5_780_500

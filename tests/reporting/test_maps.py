@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 from rooms import grid_scene
 
-from dirl.reporting import draw_policy, write_gif
+from dirl.reporting import write_gif
 from dirl.reporting.curves import common_frames
 from dirl.reporting.maps import never_arrives
 from dirl.reporting.pictures import MAX_FRAMES
@@ -17,15 +17,6 @@ def test_states_whose_actions_end_in_a_loop_never_arrive():
     assert np.flatnonzero(~lost).tolist() == [0, 1, 2, 3]  # the goal's place, where turning finds its heading
     lost = never_arrives(scene, 12, np.full(len(scene), AHEAD))
     assert np.flatnonzero(~lost).tolist() == [0, 12]
-
-
-def test_maps_of_a_policy_are_drawn(tmp_path):
-    scene = grid_scene(4, 3, headings=12)
-    file = tmp_path / "maps.png"
-    chances, fine = np.eye(4)[np.full(len(scene), RIGHT)], np.zeros(len(scene))
-    draw_policy(scene, 0, chances, fine, fine + 1, file, title="a policy")
-    with Image.open(file) as image:
-        assert image.width > 2 * image.height
 
 
 def test_gif_has_a_frame_for_each_state_up_to_a_limit(tmp_path):

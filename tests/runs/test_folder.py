@@ -51,16 +51,9 @@ def saved_run(folder, *frames):
     return training_checkpoints(folder)
 
 
-def test_rows_become_a_csv_file_with_empty_cells_for_nan(tmp_path):
-    run = begun(tmp_path)
-    run.write("evaluation", 0, {"frames": 0, "atl": math.nan})
-    run.write("evaluation", 5, {"frames": 5, "atl": 1.25})
-    assert (tmp_path / "evaluation.csv").read_text().split() == ["frames,atl", "0,", "5,1.25"]
-
-
 def test_a_resumed_run_keeps_its_columns_and_forgets_rows_younger_than_its_checkpoint(tmp_path):
     run = begun(tmp_path)
-    run.write("evaluation", 1, {"frames": 1, "atl": 9.5, "old": 3})
+    run.write("evaluation", 1, {"frames": 1, "atl": math.nan, "old": 3})
     run.save(state(10))
     for stage in ("evaluation", "reinforcement"):
         run.write(stage, 15, {"frames": 15, "atl": 1.0, "old": 3})
@@ -68,7 +61,7 @@ def test_a_resumed_run_keeps_its_columns_and_forgets_rows_younger_than_its_check
     (tmp_path / "notes.csv").write_text("mine\n")
     run = begun(tmp_path, load_checkpoint(tmp_path))
     run.write("evaluation", 11, {"frames": 11, "sr": 0.5, "atl": 8.25})
-    assert (tmp_path / "evaluation.csv").read_text().split() == ["frames,atl,old", "1,9.5,3", "11,8.25,"]
+    assert (tmp_path / "evaluation.csv").read_text().split() == ["frames,atl,old", "1,,3", "11,8.25,"]
     assert (tmp_path / "reinforcement.csv").read_text() == ""
     assert (tmp_path / "notes.csv").read_text() == "mine\n"
 

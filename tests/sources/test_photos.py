@@ -36,23 +36,6 @@ def folder_of(path, lines, header=HEADER):
     return path
 
 
-def test_a_table_becomes_a_scene(tmp_path):
-    turns = 12
-    scene, images = read_photos(folder_of(tmp_path, corridor(turns)))
-    assert (scene.name, scene.source, scene.extractor) == (tmp_path.name, "photos", "none")
-    assert [image.name for image in images] == [
-        f"{place}_{turn}.png" for place in ("hall", "door") for turn in range(turns)
-    ]
-    assert scene.headings.tolist() == [360 * turn / turns for turn in range(turns)] * 2
-    assert scene.positions.tolist() == [[0, 0]] * turns + [[1, 0]] * turns
-    quarter = turns // 4
-    wanted = {"ahead": {quarter: turns + quarter, turns + 3 * quarter: 3 * quarter}}
-    wanted["back"] = {to: state for state, to in wanted["ahead"].items()}
-    for action, column in (("ahead", 0), ("back", 3)):
-        assert {s: to for s, to in enumerate(scene.graph[:, column].tolist()) if to >= 0} == wanted[action]
-    assert scene.surrounding[1].tolist() == [(1 + step * quarter) % turns for step in range(4)]
-
-
 @given(width=st.integers(1, 3), depth=st.integers(1, 3), turns=st.sampled_from([4, 8, 12]), data=st.data())
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_room_written_as_a_table_is_read_back(tmp_path, width, depth, turns, data):

@@ -12,16 +12,13 @@ from refusals import refused
 from rooms import grid_scene
 from torch import nn
 
-from dirl.agent.decisions import observe
 from dirl.config.schemas import ConfigError
-from dirl.envs import SurroundingViews
-from dirl.envs.transforms import front_only
-from dirl.models import FeatureTable, ObservationTable, recurrent_keys
+from dirl.models import FeatureTable, ObservationTable
 from dirl.models.build import build_policy
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import SceneError, write_dump
 from dirl.scenes.world import make_world
-from dirl.training.build import build_env, build_goals, build_world, learning_policy, load_trained
+from dirl.training.build import build_goals, build_world, load_trained
 from dirl.training.job import tell_of_far_goals
 
 SMALL = ["encoder.width=8", "heads.width=8"]
@@ -78,21 +75,6 @@ def test_principal_axes_are_used_where_there_are_no_more_states_than_features(
     ).policy
     assert isinstance(policy.features, ObservationTable) == principal
     assert (policy.cached.surrounding is not None) == (observation == "surrounding")
-
-
-def test_an_agents_memory_is_emptied_with_every_episode(tmp_path):
-    parts = make_parts(
-        f"scene={room_file(tmp_path)}", *SMALL, "memory=gru", "memory.hidden_size=8", "reinforcement.max_steps=4"
-    )
-    env = build_env(parts.config, parts.world, parts.observation, parts.policy, agents=9)
-    steps = env.rollout(12, parts.policy.operator(), break_when_any_done=False)
-    (key,) = recurrent_keys(parts.policy)
-    begins = steps["is_init"].squeeze(-1)
-    assert begins[:, 0].all()
-    assert begins[:, 1:].any()
-    assert torch.equal(begins[:, 1:], steps["next", "done"][:, :-1, 0])
-    assert not steps[key][begins].any()
-    assert steps[key][~begins].any(-1).all()
 
 
 def test_goals_that_few_states_reach_are_told(capsys):
@@ -152,38 +134,3 @@ def test_a_policy_of_two_scenes_decides_by_the_layers_of_the_one_it_is_in(traine
     inside = whole.select(protocol.world.scene_of[whole.start] == protocol.world.names.index(name))
     for field in ("steps", "success", "shortest"):
         assert torch.equal(getattr(inside, field), getattr(part, field))
-
-
-class OnlyAhead(SurroundingViews):
-    """A transform of one's own that shows the view ahead, and hides the others."""
-
-    def reset_view_ids(self, picture):
-        return front_only(super().reset_view_ids(picture), self.pictures)
-
-
-@pytest.mark.parametrize("axes", ["principal", "features"])
-def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_path, axes):
-    write_dump(tmp_path / "room.h5", grid_scene(3, 2, goals=(0, 5), feature_width=64))
-    found = []
-    for cache in ("auto", "off"):
-        config = train_config(f"scene={tmp_path / 'room.h5'}", f"network.cache={cache}", f"network.axes={axes}")
-        world = build_world(config)
-        observation = OnlyAhead(world)
-        policy = learning_policy(config, world, observation)
-        state, goal = torch.arange(24), torch.zeros(24, dtype=torch.int64)
-        found.append(policy(observe(world, observation, state, observation.reset_view_ids(state), goal))["logits"])
-    torch.testing.assert_close(*found, atol=1e-5, rtol=0)
-
-
-def test_turns_that_the_training_did_not_have_are_told_of_in_one_line(trained, tmp_path, capsys):
-    for headings in (4, 8):
-        room = grid_scene(3, 2, name="left", goals=(0, 5), feature_width=64, headings=headings)
-        write_dump(tmp_path / f"room_{headings}.h5", room)
-    saved = load_checkpoint(trained / "run")
-    assert saved["turns"] == [4]
-    load_trained(saved, "run", {"scene": str(tmp_path / "room_4.h5")})
-    assert capsys.readouterr().err == ""
-    load_trained(saved, "run", {"scene": str(tmp_path / "room_8.h5")})
-    (line,) = capsys.readouterr().err.splitlines()
-    told = "warning: run: was trained with turns of 90 degrees; with turns of 45 degrees its paths may be much longer"
-    assert line.startswith(told)

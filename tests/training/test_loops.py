@@ -100,32 +100,6 @@ def test_a_checkpoint_that_is_not_of_this_imitation_is_refused(imitated):
         refused("its checkpoint does not fit this run", imitated, saved | change)
 
 
-def test_a_state_says_the_weights_for_everyone_else(tmp_path):
-    room = f"scene={room_file(tmp_path)}"
-    parts, plain = make_parts(room, *SMALL), make_parts(room, *SMALL, "network.cache=off")
-    saved = train_state(parts).state_dict()
-    assert set(saved["network"]) == set(plain.policy.state_dict())
-    rows = parts.demos.select("view_ids", "goal_view_ids", "scene")
-    expected = plain.policy(rows.copy())["logits"]  # the weights differ in what the world never shows
-    plain.policy.load_state_dict(saved["network"])
-    torch.testing.assert_close(plain.policy(rows.copy())["logits"], expected)
-    assert not any("weight" in name or "bias" in name for name in saved["losses"])  # those are the policy's
-
-
-def test_without_a_cache_the_same_is_learnt_up_to_rounding(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *SMALL, "network.axes=features"]
-    weights, episodes = [], []
-    for cache in ("auto", "off"):
-        parts = make_parts(*options, f"network.cache={cache}")
-        assert (parts.policy.cached is None) == (cache == "off")
-        state = train_state(parts)
-        walk(parts, state, 240)
-        weights.append(state.state_dict()["network"])
-        episodes.append(state.meter.state_dict())
-    assert episodes[0] == episodes[1]
-    torch.testing.assert_close(*weights, rtol=1e-3, atol=1e-4)
-
-
 DIVERGING = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "evaluation.times=0"]
 DIVERGING += ["reinforcement.frames_per_scene=2000"]
 

@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from dirl.scenes.io.atomic import PREFIX, atomic_path, remove_unfinished, write_json, write_text
+from dirl.scenes.io.atomic import atomic_path, write_json, write_text
 
 
 def test_a_file_appears_whole_with_usual_permissions_and_nothing_beside_it(tmp_path):
@@ -39,10 +39,3 @@ def test_json_knows_no_nan(tmp_path):
     with pytest.raises(TypeError):
         write_json(tmp_path / "b.json", {"a": object()})
     assert not (tmp_path / "b.json").exists()
-
-
-def test_what_a_killed_process_left_is_removed(tmp_path):
-    (tmp_path / f"{PREFIX}0.csv").touch()
-    (tmp_path / "a.csv").touch()
-    remove_unfinished(tmp_path)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a.csv"]

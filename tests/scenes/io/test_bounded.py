@@ -1,13 +1,10 @@
 """Readers with a bound: what is inside a folder, and archives that declare more than they hold."""
 
-import os
-
 import numpy as np
 import pytest
-import torch
 
 from dirl.scenes import SceneError
-from dirl.scenes.io.bounded import MOST_WEIGHTS, read_arrays, read_bytes, read_rows, read_tensors
+from dirl.scenes.io.bounded import read_arrays, read_rows
 from dirl.scenes.io.checked import inside
 
 
@@ -41,28 +38,6 @@ def test_bytes_that_are_no_text_and_no_table_are_refused(tmp_path):
         file.write_bytes(content)
         with pytest.raises(ValueError, match=says):
             read_rows(file)
-
-
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "links.csv")
-    with pytest.raises(ValueError, match=r"links\.csv: is no regular file"):
-        read_bytes(tmp_path / "links.csv")
-
-
-def test_a_file_that_is_longer_than_any_is_not_read(tmp_path):
-    (tmp_path / "network.pt").touch()
-    os.truncate(tmp_path / "network.pt", 2**40)
-    with pytest.raises(ValueError, match="has more than 4294967296 bytes"):
-        read_bytes(tmp_path / "network.pt", MOST_WEIGHTS)
-
-
-def test_tensors_are_read_unless_they_would_be_larger_than_their_file(tmp_path):
-    file = tmp_path / "weights.pt"
-    torch.save({"a": torch.arange(3)}, file)
-    assert read_tensors(file)["a"].tolist() == [0, 1, 2]
-    torch.save({"a": torch.zeros(1).expand(10**12)}, file)
-    with pytest.raises(ValueError, match="a tensor is larger than the file"):
-        read_tensors(file)
 
 
 def test_arrays_are_read_unless_they_unpack_to_far_more_than_they_are(tmp_path, monkeypatch):

@@ -6,9 +6,8 @@ import h5py
 import numpy as np
 import pytest
 from malformed import hollow, instead, make, picture, refused, views
-from rooms import grid_scene, read_here
+from rooms import grid_scene
 
-from dirl.scenes.io import hdf5
 from dirl.scenes.io.hdf5 import write_digest
 
 HUGE = 2**40
@@ -120,15 +119,6 @@ def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path):
             assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
         finally:
             tracemalloc.stop()
-
-
-@pytest.mark.parametrize("limit", ["MAX_STATES", "MAX_FEATURE_VALUES"])
-def test_the_limits_themselves_are_allowed(dump, monkeypatch, limit):
-    allowed = {"MAX_STATES": 24, "MAX_FEATURE_VALUES": 24 * 16}[limit]
-    monkeypatch.setattr(hdf5, limit, allowed)
-    assert len(read_here(dump)) == 24
-    monkeypatch.setattr(hdf5, limit, allowed - 1)
-    refused(dump)
 
 
 def test_what_is_no_whole_hdf5_file_is_refused(dump, tmp_path):

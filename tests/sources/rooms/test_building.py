@@ -3,20 +3,14 @@
 import numpy as np
 import pytest
 from buildings import (
-    DOORWAY,
     WALL,
     Building,
-    assemble_building,
     choose_panoramas,
-    furniture,
     sample_building,
-    walls,
     write_building_tour,
 )
 from closet import closet
 
-from dirl.sources.rooms.navigation import clearance
-from dirl.sources.rooms.scenery import Scenery
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import wrap
 from dirl.sources.tours.moves import tour_scene
@@ -26,20 +20,6 @@ from dirl.sources.tours.moves import tour_scene
 def building():
     """Two closets side by side."""
     return Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
-
-
-def test_a_doorway_can_be_seen_and_walked_through(building):
-    scenery = Scenery(*assemble_building(building), edge=1.0, texture_limit=16)
-    east = np.array([[1.0, 0.0, 0.0]] * 3)
-    through, beside, above = (0.6, 0.6, 1.0), (0.6, 1.3, 1.0), (1.5, 0.6, DOORWAY[1] + 0.1)
-    distance = scenery.trace(np.array([through, beside, above]), east).distance
-    assert distance == pytest.approx([3.4 + WALL, 1.4, 0.5], abs=1e-4)
-    inside = scenery.trace(np.array([(2.0 + WALL / 2, 0.6, 1.0)] * 2), np.array([[0.0, 1, 0], [0, 0, -1]])).distance
-    assert inside == pytest.approx([DOORWAY[0] / 2, 1.0], abs=1e-4)
-    solid = np.concatenate([walls(building), furniture(building)])
-    starts = np.array([(1.0, 0.6), (1.0, 1.3), (0.5, 0.6), (0.5, 0.6)])
-    ends = np.array([(3.0, 0.6), (3.0, 1.3), (-0.5, 0.6), (0.5, 2.0)])
-    assert (clearance(starts, ends, solid) > 0).tolist() == [True, False, False, False]
 
 
 def test_the_tour_of_a_building_reads_back(building, tmp_path):

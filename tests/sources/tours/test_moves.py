@@ -20,20 +20,6 @@ def told(made, words):
     return [note for note in made.notes if words in note]
 
 
-@pytest.mark.parametrize("headings", [4, 8])
-def test_moves_follow_links_and_keep_the_heading(headings):
-    truth = turned(grid_truth(3, 2), 0.3)
-    made = tour_scene(tour_of(truth), headings=headings)
-    graph, quarter = made.scene.graph, headings // 4
-    assert len(graph) == 6 * headings
-    moves = np.flatnonzero(graph[:, AHEAD] >= 0)
-    assert len(moves) == len(truth.links)
-    assert (graph[moves, AHEAD] % headings == moves % headings).all()
-    assert (graph[graph[moves, AHEAD], BACK] == moves).all()
-    assert ((moves % headings - moves[0] % headings) % quarter == 0).all()
-    assert np.allclose(np.diff(made.scene.headings[:headings]) % 360, 360 / headings)
-
-
 def test_a_laid_out_map_has_the_shape_of_the_place():
     truth = turned(grid_truth(4, 3), 1.0)
     made = tour_scene(tour_of(truth), headings=8, step=2.0)
