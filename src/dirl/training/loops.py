@@ -94,17 +94,13 @@ class TrainState:
         random = {"env": self.env.base_env.generator.get_state(), **random_state(self.env.device)}
         if self.generator is not None:
             random["cpu"] = self.generator.get_state()
-        optimiser = self.optimiser.state_dict()
-        for group in optimiser["param_groups"]:
-            if isinstance(group["lr"], Tensor):  # while it is captured in a graph
-                group.update(lr=float(group["lr"]), capturable=False)
         return {
             "frames": self.frames,
             "training_seconds": self.seconds,
             "network": plain_weights(self.policy),
             "learning": self.policy.state_dict(),
             "losses": own_of_losses,
-            "optimiser": optimiser,
+            "optimiser": self.optimiser.state_dict(),
             "agents": self.agents.cpu().to_dict(),
             "meter": self.meter.state_dict(),
             "random": random,
@@ -208,10 +204,9 @@ class ImitationSteps:
         return any(member.goes_on for member in self.members) and not self.signals
 
     @property
-    def lr(self) -> Any:
-        """The learning rate of the next step, or those of all runs; of one that is done it is 0."""
-        rates = [member.lr for member in self.members]
-        return torch.tensor(rates) if isinstance(self.optimiser.param_groups[0]["lr"], Tensor) else rates[0]
+    def lr(self) -> Tensor:
+        """The learning rates of the next step, of each run; of one that is done it is 0."""
+        return torch.tensor([member.lr for member in self.members], dtype=torch.float64)
 
     def record(self, told: Tensor) -> None:
         """Count a step of loss and accuracy ``[2]``, or ``[2, R]``; write its metrics, save when it is time to.
@@ -249,7 +244,7 @@ def imitation_steps(
                 members[-1].load_state_dict(run.saved)
     total, hidden, every = members[0].options.max_steps, not members[0].options.sampled, bar_interval()
     bar = tqdm(total=total, initial=members[0].step - first, unit=" steps", mininterval=every, disable=hidden)
-    optimiser = policy.optimised([own.optimiser for own in members], apart=True) if stacked else members[0].optimiser
+    optimiser = policy.joined([own.optimiser for own in members], apart=True) if stacked else members[0].optimiser
     with interruptible() as signals, bar:
         yield ImitationSteps(members, optimiser, policy.prepared if stacked else lambda step: step, bar, signals)
     if signals:

@@ -337,12 +337,16 @@ def clip_gradients(
 
 
 def set_learning_rate(optimiser: Any, rate: Any) -> None:
-    """Give every group of parameters the same learning rate; in place where it is a tensor, as in a CUDA graph."""
-    for group in optimiser.param_groups:
+    """Give every group of parameters the same learning rate, or each its own, ``[groups]``.
+
+    It is given in place where it is a tensor, as in a CUDA graph.
+    """
+    for number, group in enumerate(optimiser.param_groups):
+        own = rate[number] if isinstance(rate, Tensor) and rate.ndim else rate
         if isinstance(group["lr"], Tensor):
-            group["lr"].copy_(rate)
+            group["lr"].copy_(own)
         else:
-            group["lr"] = float(rate)
+            group["lr"] = float(own)
 
 
 class TFRMSprop(Optimizer):
@@ -366,16 +370,9 @@ class TFRMSprop(Optimizer):
     def step(self, closure: None = None) -> None:  # type: ignore[override]
         """Update every parameter that has a gradient."""
         for group in self.param_groups:
-            parameters = [p for p in group["params"] if p.grad is not None]
-            if not parameters:
-                continue
-            for parameter in parameters:
-                if not self.state[parameter]:
-                    self.state[parameter]["mean_square"] = torch.ones_like(parameter)
-            gradients = [p.grad for p in parameters]
-            squares = [self.state[p]["mean_square"] for p in parameters]
-            torch._foreach_mul_(squares, group["alpha"])
-            torch._foreach_addcmul_(squares, gradients, gradients, 1 - group["alpha"])
-            roots = torch._foreach_add(squares, group["eps"])
-            torch._foreach_sqrt_(roots)
-            torch._foreach_addcdiv_(parameters, gradients, roots, -group["lr"])
+            for parameter in group["params"]:
+                if parameter.grad is None:
+                    continue
+                square = self.state[parameter].setdefault("mean_square", torch.ones_like(parameter))
+                square.mul_(group["alpha"]).addcmul_(parameter.grad, parameter.grad, value=1 - group["alpha"])
+                parameter.addcdiv_(parameter.grad, (square + group["eps"]).sqrt(), value=-group["lr"])

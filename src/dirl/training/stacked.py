@@ -38,7 +38,7 @@ from dirl.scenes.io.bounded import read_text
 from dirl.training.build import build_env, build_imitation_loss, build_losses, check_device, describe
 from dirl.training.job import Components, Stages, build_components, conclude, open_job, run_stages
 from dirl.training.loops import TrainState, updates
-from dirl.training.objectives import FULL_BATCH, Losses, set_learning_rate, trained_parameters
+from dirl.training.objectives import FULL_BATCH, Losses, trained_parameters
 
 Loop = Callable[..., Any]
 """`imitation` or `learn` of ``recipes/train.py``."""
@@ -69,17 +69,15 @@ def why_alone(config: TrainConfig, components: Components) -> str | None:
         return "it learns nothing by reinforcement"
     options, imitation, losses = config.reinforcement, config.imitation, state.losses.losses.values()
     modules = [*(loss.module for loss in losses), build_imitation_loss(config, components.policy)]
-    sampled = imitation.sampled or imitation.batch_size is not None or len(components.demos) > FULL_BATCH
     optimiser = class_parameters(find_class("optimiser", config.optimiser[TARGET], config.trust))
-    reasons = {
+    reasons: dict[str, Any] = {
         "several workers": options.workers > 1,
         "a memory": config.memory[TARGET] is not None,
         "views of earlier steps": config.observation[TARGET] != "dirl.envs.SurroundingViews",
         "until=stable": options.until != Until.frames,
         "several updates from a rollout": options.epochs * options.minibatches > 1,
-        "sampled demonstrations": sampled,
-        "rounds of DAgger": imitation.rounds > 0,
-        "noise": imitation.noise > 0,
+        "sampled demonstrations": imitation.sampled or imitation.batch_size or len(components.demos) > FULL_BATCH,
+        "rounds of DAgger, or noise": imitation.rounds > 0 or imitation.noise > 0,
         "held-out goals": config.hold_out > 0,
         "an environment of its own": config.env != {TARGET: "dirl.envs.NavigationEnv", "slip": 0.0},
         "an optimiser without capturable": config.device == Device.cuda and "capturable" not in optimiser,
@@ -90,8 +88,8 @@ def why_alone(config: TrainConfig, components: Components) -> str | None:
         "an encoder without embed and fuse": not isinstance(getattr(components.policy, "encoder", None), Cacheable),
         "a loss with weights of its own": len(state.parameters) > len(trained_parameters(components.policy)),
         "a loss that defines the reward": any(hasattr(loss.module, "reward") for loss in losses),
-        "a loss that is not reduced by reduction": not all(hasattr(one, "reduction") for one in modules),
         "a loss that compares": any(loss.compares for loss in losses),
+        "a loss that is no mean by reduction": any(getattr(one, "reduction", None) != "mean" for one in modules),
     }
     return next((reason for reason, holds in reasons.items() if holds), None)
 
@@ -118,9 +116,9 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Loop, learn: Loo
                 fixed["seed"] = run.config.seed
             kind = json.dumps(fixed, default=str, sort_keys=True)
             components = build_components(run, initial, of_kind.get(kind))
+            run.begin(components.protocol.world, components.protocol.observation.order)
             if (reason := why_alone(run.config, components)) is not None:
                 print(f"by itself: {run.folder}: {reason}", flush=True)
-                run.begin(components.protocol.world, components.protocol.observation.order)
                 results[number] = run_stages(run, components, train)
                 continue
             of_kind.setdefault(kind, components)
@@ -143,28 +141,20 @@ def run_stack(
 ) -> Iterator[tuple[int, Facts | Exception]]:
     """Train runs that stand at the same frame as one; yields the summary of each, or its error."""
     print(f"{len(members)} runs as one: {', '.join(str(run.folder) for run, _ in members.values())}", flush=True)
-    ready: dict[int, tuple[Run, Any]] = {}
-    for number, (run, components) in members.items():
-        try:
-            run.begin(components.protocol.world, components.protocol.observation.order)
-            # A generator of its own for the actions, which draws what torch's own would for this run alone.
-            assert components.state is not None
-            components.state.generator = torch.Generator().manual_seed(run.config.seed)
-            if run.saved is not None and not components.before_reinforcement:
-                components.state.generator.set_state(run.saved["random"]["cpu"])
-            ready[number] = (run, components)
-        except Exception as error:
-            yield number, error
-    if not ready:
-        return
-    runs, every = zip(*ready.values(), strict=True)
+    runs, every = zip(*members.values(), strict=True)
+    for run, components in members.values():
+        # A generator of its own for the actions, which draws what torch's own would for this run alone.
+        assert components.state is not None
+        components.state.generator = torch.Generator().manual_seed(run.config.seed)
+        if run.saved is not None and not components.before_reinforcement:
+            components.state.generator.set_state(run.saved["random"]["cpu"])
     protocols = [components.protocol for components in every]
     stack = Stack(every)
     imitation(runs, every, stack)
     with updates(stack, runs, protocols) as loop:
         learn(stack, loop)
     walked = stack.walked(protocols, assess=True)
-    for number, run, components, protocol in zip(ready, runs, every, walked, strict=True):
+    for number, run, components, protocol in zip(members, runs, every, walked, strict=True):
         facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
         try:
             yield number, conclude(run, components.policy, protocol, facts | components.state.summary, shown=False)
@@ -225,8 +215,8 @@ class Stack:
         apart = self.config.reinforcement.clip_per_variable
         gradients = self._by_name(self.whole.grad).values(True, True) if apart else [self.whole.grad]
         self.parameters: Any = [SimpleNamespace(grad=gradient) for gradient in gradients]
-        self.optimised = partial(StackedOptimiser, self.whole)
-        self.optimiser = self.optimised([state.optimiser for state in self.members])
+        self.joined = partial(joined, self.whole)
+        self.optimiser = self.joined([state.optimiser for state in self.members])
         # On a CPU each run draws what it would alone; on a GPU one kernel draws for all.
         drawn = [state.env.base_env.generator for state in self.members]
         self.generators: list[torch.Generator] = [state.generator for state in self.members]
@@ -246,12 +236,11 @@ class Stack:
     def cloning(self) -> Callable[[], TensorDictBase]:
         """Return what compares each run with the expert on its demonstrations: loss and accuracy, ``[R]``."""
         loss: Any = build_imitation_loss(self.config, self.form)
-        trunk, kind, loss.reduction = self.form.trunk(), loss.reduction, "none"
+        trunk, loss.reduction = self.form.trunk(), "none"
 
         def of_run(rows: TensorDictBase, counts: Tensor) -> TensorDict:
             told = loss(trunk(rows.copy()))
-            accuracy = reduced(told["accuracy"], "mean", counts)
-            return TensorDict({"loss_imitation": reduced(told["loss_imitation"], kind, counts), "accuracy": accuracy})
+            return TensorDict({key: mean(told[key], counts) for key in ("loss_imitation", "accuracy")})
 
         return lambda: self.each(of_run, *self.losses.demonstrated)
 
@@ -366,9 +355,7 @@ class StackedLosses:
         self.stack, self.form = stack, form
         self.recurrent, self.rewarded = form.recurrent, form.rewarded
         self.demonstrated = padded(demos) if max(map(len, demos)) else ()
-        self.reductions: dict[str, str] = {}
         for name, loss in form.losses.items():
-            self.reductions[name] = loss.module.reduction
             loss.module.reduction = "none"  # rows are reduced without those that only fill up
             every = [state.losses.losses[name].schedules for state in stack.members]
             for option in loss.schedules:
@@ -380,51 +367,36 @@ class StackedLosses:
 
         def of_run(batch: TensorDictBase, coefficients: Any, rows: Any = None, counts: Any = None) -> TensorDict:
             def reduce(name: str, value: Tensor) -> Tensor:
-                counted = self.form.losses[name].on_demonstrations
-                return reduced(value, self.reductions[name], counts if counted else None)
+                return mean(value, counts if self.form.losses[name].on_demonstrations else None)
 
             return self.form.compute(batch, rows, coefficients, reduce)
 
         return self.stack.each(of_run, batch, self.form.coefficients(left), *self.demonstrated)
 
 
-class StackedOptimiser:
-    """The optimisers of the runs: their own weights, which are views of the stacked ones, at their own rates."""
+def joined(whole: Tensor, optimisers: Sequence[Any], *, apart: bool = False) -> Any:
+    """Return the optimisers of the runs as one, with their state; their weights are views of all, ``[R, P]``.
 
-    def __init__(self, whole: Tensor, optimisers: Sequence[Any], *, apart: bool = False) -> None:
-        self.whole = whole
-        rates = torch.tensor([own.defaults["lr"] for own in optimisers], dtype=torch.float64, device=whole.device)
-        self.defaults, self.param_groups = {"lr": rates}, [{"lr": rates.float()}]
-        alike: dict[Any, list[Any]] = {}
-        for number, (own, rate) in enumerate(zip(optimisers, self.param_groups[0]["lr"], strict=True)):
-            alike.setdefault(number if apart else own.defaults["lr"], []).append((own, rate))
-            # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
-            if whole.device.type != "cpu" or own.param_groups[0].get("fused"):
-                own.param_groups[0].update(lr=rate, capturable=True)
-        self.parts = [(_joined([own for own, _ in some]), some[0][1]) for some in alike.values()]
-        """The optimisers of runs with one rate as one, and where that stands."""
-
-    def zero_grad(self) -> None:
-        """In place: a graph adds to the same memory at every replay."""
-        assert self.whole.grad is not None
-        self.whole.grad.zero_()
-
-    def step(self) -> None:
-        """One step of each."""
-        for part, rate in self.parts:
-            if not isinstance(part.param_groups[0]["lr"], Tensor):
-                set_learning_rate(part, rate.item())
-            part.step()
-
-
-def _joined(optimisers: Sequence[Any]) -> Any:
-    """Return an optimiser of the parameters of all, which has their state: one kernel steps all."""
-    joined, first = object.__new__(type(optimisers[0])), optimisers[0]
+    It has a group, which one kernel steps, for each learning rate, or if they are to be ``apart`` for each run.
+    """
+    alike: dict[Any, list[Any]] = {}
+    for number, own in enumerate(optimisers):
+        alike.setdefault(number if apart else own.defaults["lr"], []).append(own)
+    first, groups = optimisers[0], []
+    rates = torch.tensor([some[0].defaults["lr"] for some in alike.values()], dtype=torch.float64, device=whole.device)
+    for some, rate in zip(alike.values(), rates.float(), strict=True):
+        group = first.param_groups[0] | {"params": [one for own in some for one in own.param_groups[0]["params"]]}
+        # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
+        if whole.device.type != "cpu" or group.get("fused"):
+            group |= {"lr": rate, "capturable": True}
+        groups.append(group)
     state = {one: own.state[one] for own in optimisers for one in own.param_groups[0]["params"]}
-    groups = [first.param_groups[0] | {"params": [*state]}]
-    # It is uncaptured before the capture.
-    vars(joined).update(vars(first), param_groups=groups, state=state, _warned_capturable_if_run_uncaptured=True)
-    return joined
+    result = object.__new__(type(first))
+    vars(result).update(vars(first), param_groups=groups, state=state, defaults=first.defaults | {"lr": rates})
+    result._warned_capturable_if_run_uncaptured = True  # it is uncaptured before the capture
+    assert whole.grad is not None
+    result.zero_grad = whole.grad.zero_  # in place: a graph adds to the same memory at every replay
+    return result
 
 
 def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
@@ -439,17 +411,15 @@ def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainC
     return replace(configs[0], reward=replace(reward, **rewards), reinforcement=replace(options, **discount))
 
 
-def reduced(value: Tensor, kind: str, counts: Tensor | None) -> Tensor:
-    """Return the mean of rows, or their sum, without those that only fill up; see `padded`."""
-    rows = value if counts is None else value.flatten() * counts / counts.mean()
-    return rows.sum() if kind == "sum" else rows.mean()
+def mean(value: Tensor, counts: Tensor | None) -> Tensor:
+    """Return the mean of rows, without those that only fill up; see `padded`."""
+    return value.mean() if counts is None else (value.flatten() * counts / counts.mean()).mean()
 
 
 def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase, Tensor]:
     """The demonstrations of all runs, ``[R, M]``, and which count, float32 ``[R, M]``: the others fill up the rows."""
     rows = torch.arange(max(map(len, demos)), device=demos[0].device)
-    kept = set.intersection(*(set(own.keys()) for own in demos))
-    together = torch.stack([own.select(*kept)[rows.clamp(max=len(own) - 1)] for own in demos])
+    together = torch.stack([own[rows.clamp(max=len(own) - 1)] for own in demos])
     return together, torch.stack([rows < len(own) for own in demos]).float()
 
 
