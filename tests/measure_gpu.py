@@ -2,8 +2,9 @@
 
     python tests/measure_gpu.py                  # under four minutes on an H100
     python tests/measure_gpu.py device=cpu small=true seconds=600     # the same on a CPU, in miniature
+    python tests/measure_gpu.py parts=0,3 out=FOLDER                  # some of `PARTS`; FOLDER gets seeds.json
 
-Parts that would begin after ``seconds`` are left out. Every row is printed when it is known.
+Parts that would not end within ``seconds`` are left out. Every row is printed when it is known.
 """
 
 import contextlib
@@ -31,9 +32,11 @@ import train as recipe  # noqa: E402
 
 from dirl.cli.parsing import compose_training  # noqa: E402
 from dirl.config.values import typed  # noqa: E402
+from dirl.evaluation.protocol import metrics  # noqa: E402
 from dirl.models import plain_weights  # noqa: E402
 from dirl.runs.checkpoints import load_checkpoint  # noqa: E402
 from dirl.training.job import build_components, prepare_device  # noqa: E402
+from dirl.training.loops import updates  # noqa: E402
 from dirl.training.stacked import Job, Stack, run_together  # noqa: E402
 
 DEVICE = GIVEN.get("device", "cuda")
@@ -91,6 +94,44 @@ def stack(count, *options):
     weights = [load_checkpoint(job.folder)["network"] for job in jobs]
     shutil.rmtree(folder)
     return weights
+
+
+def seeds(count, *options, at_once=250):
+    """How many of so many seeds fail: they are trained in stacks, and have no folders, which would take longer."""
+    count, at_once = (3, 2) if SMALL else (count, at_once)
+    composed = compose_training([*options, *SMALL, f"device={DEVICE}", "evaluation.times=0"])
+    prepare_device(composed.device, composed.precision)
+    found, needs = [], 0.0
+    for first in range(0, count, at_once):
+        began = time.perf_counter()
+        if left() < needs:
+            break
+        runs, every = [], []
+        for seed in range(first, min(first + at_once, count)):
+            composed.seed = seed
+            nothing = dict.fromkeys(("write", "save", "save_due"), lambda *_: None)
+            runs.append(SimpleNamespace(config=typed(composed), saved=None, folder=FOLDER, **nothing))
+            every.append(build_components(runs[-1], None, every[0] if every else None))
+            every[-1].state.generator = torch.Generator().manual_seed(seed)
+        stack, protocols = Stack(every), [own.protocol for own in every]
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            recipe.imitation(runs, every, stack)
+            with updates(stack, runs, protocols) as loop:
+                recipe.learn(stack, loop)
+        walked = zip(every, stack.walked(protocols), strict=True)
+        trained = [own.state.summary | {"greedy": metrics(protocol.run(own.policy))} for own, protocol in walked]
+        found += trained
+        needs = time.perf_counter() - began
+        row(f"seeds {first} to {len(found) - 1}", " ".join(options), trained, needs)
+    failed = sum(own["greedy"]["sr"] < 0.99 for own in found)
+    say(f"{failed} of {len(found)} seeds have an SR below .99")
+    if "out" in GIVEN:
+        (Path(GIVEN["out"]) / "seeds.json").write_text(json.dumps(found))
+
+
+def left():
+    """Seconds that are left."""
+    return SECONDS - (time.perf_counter() - BEGAN)
 
 
 def same_seed(count, *options):
@@ -182,18 +223,18 @@ def grid(experiment, *options):
         say(arguments[0], " ".join(arguments[1:3]), *options, f"{runs} runs", f"{seconds:.1f} s since its beginning")
 
 
-PARTS = [
+PARTS = [  # about how many seconds each takes on an H100, and what it measures
     (10, lambda: first_update("scene=bathroom_02")),
+    (8, lambda: same_seed(2, "scene=bathroom_02")),
+    (80, lambda: stack(85, "scene=all")),
+    (50, lambda: seeds(1000, "scene=bathroom_02")),  # the first stack; others follow as long as there is time
     (15, lambda: command("scene=bathroom_02")),
     (15, lambda: command("scene=all")),
-    (6, lambda: same_seed(2, "scene=bathroom_02")),
     (8, lambda: stack(16, "scene=bathroom_02")),
-    (60, lambda: grid("fig8", *(["seed=0"] if SMALL else []))),
-    (40, lambda: stack(85, "scene=all", "precision=tf32")),
     (8, lambda: stack(16, "scene=bathroom_02", "precision=tf32")),
     (10, lambda: stack(5, "scene=all")),
     (10, lambda: stack(5, "scene=all", "precision=tf32")),
-    (30, lambda: stack(500, "scene=bathroom_02")),
+    (150, lambda: grid("fig8", *(["seed=0"] if SMALL else []))),
 ]
 
 
@@ -201,10 +242,10 @@ def main():
     if DEVICE == "cuda":
         say(torch.cuda.get_device_name(), f"torch {torch.__version__}")
     say(f"imports {time.perf_counter() - BEGAN:.1f} s")
-    for number, (needs, part) in enumerate(PARTS):
-        left = SECONDS - (time.perf_counter() - BEGAN)
-        if left < needs:
-            say(f"part {number}: left out, {left:.0f} s left")
+    for number in map(int, GIVEN["parts"].split(",")) if "parts" in GIVEN else range(len(PARTS)):
+        needs, part = PARTS[number]
+        if left() < needs:
+            say(f"part {number}: left out, {left():.0f} s left")
             continue
         try:
             part()
