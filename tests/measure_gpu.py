@@ -112,7 +112,6 @@ def seeds(count, *options, at_once=250):
             nothing = dict.fromkeys(("write", "save", "save_due"), lambda *_: None)
             runs.append(SimpleNamespace(config=typed(composed), saved=None, folder=FOLDER, **nothing))
             every.append(build_components(runs[-1], None, every[0] if every else None))
-            every[-1].state.generator = torch.Generator().manual_seed(seed)
         stack, protocols = Stack(every), [own.protocol for own in every]
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             recipe.imitation(runs, every, stack)
@@ -168,8 +167,6 @@ def first_update(*options):
         configs = [typed(compose_training([*options, f"device={device}", f"seed={seed}"])) for seed in range(2)]
         prepare_device(configs[0].device, configs[0].precision)
         members = [build_components(SimpleNamespace(config=config, saved=None)) for config in configs]
-        for config, member in zip(configs, members, strict=True):
-            member.state.generator = torch.Generator().manual_seed(config.seed)
         recipe.collect = collected
         recipe.learn(Stack(members), OneUpdate())
         # As weights on features: the axes of the observations are each device's own.

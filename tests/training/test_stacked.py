@@ -34,12 +34,9 @@ OUTSIDE = (
 
 
 def make_states(room, options=VARIED):
-    """The parts and the states of runs, with the generators that they have in a stack."""
+    """The parts and the states of runs."""
     every = [make_parts(f"scene={room}", *TINY, *own) for own in options]
-    states = [train_state(parts) for parts in every]
-    for parts, state in zip(every, states, strict=True):
-        state.generator = torch.Generator().manual_seed(parts.config.seed)
-    return every, states
+    return every, [train_state(parts) for parts in every]
 
 
 def make_stack(room, options=VARIED):

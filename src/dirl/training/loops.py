@@ -62,6 +62,8 @@ class TrainState:
     """The fraction of the training that is left, 1 to 0, float64 ``[]``; also replaced in place."""
     generator: torch.Generator | None = None
     """In a stack that of the run's actions; else they are drawn by torch's own."""
+    random: Tensor | None = None
+    """The state of what draws the actions, in a training that goes on."""
 
     stacked: ClassVar[bool] = False
     """True if the first dimension of everything is the run, see `dirl.training.stacked.Stack`."""
@@ -116,6 +118,7 @@ class TrainState:
         self.agents = self.env.base_env.restore_agents(agents)
         self.meter.load_state_dict(state["meter"])
         self.env.base_env.generator.set_state(state["random"]["env"])
+        self.random = state["random"]["cpu"]
         restore_random_state(state["random"])
 
 
@@ -147,19 +150,18 @@ class Imitation:
     """Of the latest step, as is the accuracy: the fraction of its rows in which the most probable action is right."""
     accuracy: float = 0.0
 
-    def __post_init__(self) -> None:
-        self.options = self.run.config.imitation
-
     @property
     def goes_on(self) -> bool:
         """True if there are steps left to do."""
-        return self.step - self.first < self.options.max_steps and self.loss >= self.options.loss_threshold
+        options = self.run.config.imitation
+        return self.step - self.first < options.max_steps and self.loss >= options.loss_threshold
 
     @property
     def lr(self) -> float:
         """The learning rate of the next step: constant, or with ``imitation.lr_decay`` linearly to zero; zero after."""
-        done = (self.step - self.first) / self.options.max_steps if self.options.lr_decay else 0
-        return self.options.lr * (1 - done) if self.goes_on else 0.0
+        options = self.run.config.imitation
+        done = (self.step - self.first) / options.max_steps if options.lr_decay else 0
+        return options.lr * (1 - done) if self.goes_on else 0.0
 
     def record(self, loss: float, accuracy: float) -> None:
         """Count a step, and write its metrics."""
@@ -242,8 +244,9 @@ def imitation_steps(
         if run.saved is not None and "imitation" in run.saved and not first:
             with restoring(run.folder):
                 members[-1].load_state_dict(run.saved)
-    total, hidden, every = members[0].options.max_steps, not members[0].options.sampled, bar_interval()
-    bar = tqdm(total=total, initial=members[0].step - first, unit=" steps", mininterval=every, disable=hidden)
+    options, every = runs[0].config.imitation, bar_interval()
+    done, hidden = members[0].step - first, not options.sampled
+    bar = tqdm(total=options.max_steps, initial=done, unit=" steps", mininterval=every, disable=hidden)
     optimiser = policy.joined([own.optimiser for own in members], apart=True) if stacked else members[0].optimiser
     with interruptible() as signals, bar:
         yield ImitationSteps(members, optimiser, policy.prepared if stacked else lambda step: step, bar, signals)

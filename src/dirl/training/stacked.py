@@ -9,10 +9,11 @@ the stacked ones: it is evaluated, saved and resumed as if it had been trained a
 import copy
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.func import vmap
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from dirl.agent.decisions import observe
 from dirl.config.components import TARGET, class_parameters, find_class
@@ -48,9 +50,6 @@ VARIED = (
     *(f"reinforcement.{name}" for name in ("gamma", "lmbda", "entropy_coef", "critic_coef")),
 )
 """The options in which the runs of a stack may differ."""
-
-ROWS_AT_ONCE = 2**18
-"""Pairs of all runs that a pass through the network answers."""
 
 
 @dataclass
@@ -142,12 +141,6 @@ def run_stack(
     """Train runs that stand at the same frame as one; yields the summary of each, or its error."""
     print(f"{len(members)} runs as one: {', '.join(str(run.folder) for run, _ in members.values())}", flush=True)
     runs, every = zip(*members.values(), strict=True)
-    for run, components in members.values():
-        # A generator of its own for the actions, which draws what torch's own would for this run alone.
-        assert components.state is not None
-        components.state.generator = torch.Generator().manual_seed(run.config.seed)
-        if run.saved is not None and not components.before_reinforcement:
-            components.state.generator.set_state(run.saved["random"]["cpu"])
     protocols = [components.protocol for components in every]
     stack = Stack(every)
     imitation(runs, every, stack)
@@ -201,9 +194,7 @@ class Stack:
         goals, states = self.world.pairs()
         asked = observe(self.world, observation, states, self.views[states], goals)
         sizes = asked["scene"].unique_consecutive(return_counts=True)[1].tolist()
-        at_once = max(1, ROWS_AT_ONCE // len(every))
-        parts = [part for of_scene in asked.split(sizes) for part in of_scene.split(at_once)]
-        self.asked = [(int(part["scene"][0]), part) for part in parts]
+        self.asked = [(int(part["scene"][0]), part) for part in asked.split(sizes)]
         """Every pair of goal and state, ``[P]``, by their scene."""
         # In `keeping`: embeddings of all runs, those of the run that is computed, and answers to the pairs.
         self._kept, self._own = tuple[Tensor, ...](), tuple[Tensor, ...]()
@@ -217,6 +208,10 @@ class Stack:
         self.parameters: Any = [SimpleNamespace(grad=gradient) for gradient in gradients]
         self.joined = partial(joined, self.whole)
         self.optimiser = self.joined([state.optimiser for state in self.members])
+        for state in self.members:  # a generator for its actions, which draws what torch's own would for it alone
+            state.generator = torch.Generator().manual_seed(state.config.seed)
+            if state.random is not None:
+                state.generator.set_state(state.random)
         # On a CPU each run draws what it would alone; on a GPU one kernel draws for all.
         drawn = [state.env.base_env.generator for state in self.members]
         self.generators: list[torch.Generator] = [state.generator for state in self.members]
@@ -331,17 +326,17 @@ class Stack:
             # Of every run for each pair, [R, P, 4]. One that has diverged is walked too: others do not wait.
             logits = self.answers()["logits"].nan_to_num()
         every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
-        joined = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
+        together = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
         episodes = len(every_start[0])  # of each run; those of the first come first
 
         def decide(episode: Tensor, ahead: Tensor, _: Tensor, wanted: Tensor) -> Tensor:
             return logits[episode // episodes, world.pair(wanted, ahead)]
 
         policies: Any = SimpleNamespace(decide=decide)  # each is asked in its own episodes
-        kinds = [joined.run(policies)]
+        kinds = [together.run(policies)]
         if assess:
-            kinds += [joined.run(policies, greedy=False), joined.run_random()]
-        rows_of_runs = torch.arange(len(joined.starts[0]), device=world.device).split(episodes)
+            kinds += [together.run(policies, greedy=False), together.run_random()]
+        rows_of_runs = torch.arange(len(together.starts[0]), device=world.device).split(episodes)
         return [
             replace(protocol, walked=tuple(kind.select(own) for kind in kinds))
             for protocol, own in zip(protocols, rows_of_runs, strict=True)
@@ -402,13 +397,15 @@ def joined(whole: Tensor, optimisers: Sequence[Any], *, apart: bool = False) -> 
 def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
     """Return the first configuration with tensors, which broadcast to batches, for numbers in which runs may differ."""
 
-    def by_run(values: Iterable[float], dims: int) -> Any:
-        return torch.tensor(list(values), device=device).view(-1, *[1] * dims)
+    def by_run(option: str, dims: int) -> Any:
+        values = [attrgetter(option)(config) for config in configs]
+        return torch.tensor(values, device=device).view(-1, *[1] * dims)
 
-    reward, options = configs[0].reward, configs[0].reinforcement
-    rewards = {one.name: by_run((getattr(own.reward, one.name) for own in configs), 1) for one in fields(reward)}
-    discount = {name: by_run((getattr(own.reinforcement, name) for own in configs), 3) for name in ("gamma", "lmbda")}
-    return replace(configs[0], reward=replace(reward, **rewards), reinforcement=replace(options, **discount))
+    first = configs[0]
+    reward = {one.name: by_run(f"reward.{one.name}", 1) for one in fields(first.reward)}
+    discount = {name: by_run(f"reinforcement.{name}", 3) for name in ("gamma", "lmbda")}
+    options = replace(first.reinforcement, **discount)
+    return replace(first, reward=replace(first.reward, **reward), reinforcement=options)
 
 
 def mean(value: Tensor, counts: Tensor | None) -> Tensor:
@@ -425,13 +422,13 @@ def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase, Tensor]:
 
 def _joined_weights(policies: Sequence[nn.Module]) -> Tensor:
     """Return the parameters of each policy in one row, ``[R, P]``; the policies' own become views, gradients too."""
-    named = [list(policy.parameters()) for policy in policies]
-    whole = torch.stack([torch.cat([value.detach().flatten() for value in own]) for own in named]).requires_grad_()
+    whole = torch.stack([parameters_to_vector(policy.parameters()) for policy in policies]).detach().requires_grad_()
     whole.grad = torch.zeros_like(whole)
-    for own, row, grads in zip(named, whole.detach(), whole.grad, strict=True):
-        sizes = [value.numel() for value in own]
-        for value, part, grad in zip(own, row.split(sizes), grads.split(sizes), strict=True):
-            value.data, value.grad = part.view_as(value), grad.view_as(value)
+    for policy, row, grads in zip(policies, whole.detach(), whole.grad, strict=True):
+        vector_to_parameters(row, policy.parameters())
+        own = list(policy.parameters())
+        for value, grad in zip(own, grads.split([value.numel() for value in own]), strict=True):
+            value.grad = grad.view_as(value)
     return whole
 
 
