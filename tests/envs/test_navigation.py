@@ -2,7 +2,7 @@ import pytest
 import torch
 from rooms import grid_scene
 
-from dirl.envs import NavigationEnv
+from dirl.envs import NavigationEnv, Reward
 from dirl.scenes import make_world
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
@@ -45,6 +45,7 @@ def test_a_false_stop_ends_the_episode_with_the_step_reward(world):
     stop[world.pair(torch.tensor(0), torch.tensor(5))] = True
     # The second agent has another goal, for which that state is none to stop in.
     after = move(NavigationEnv(world, 2, stop=stop), [4, 4], [0, 13], [RIGHT, RIGHT])
+    assert Reward() == Reward(goal=10.0, step=-0.01, collision=-0.1)  # of the paper
     assert after["state"].tolist() == [5, 5]
     assert after["reward"].squeeze(-1).tolist() == pytest.approx([-0.01, -0.01])
     assert after["terminated"].squeeze(-1).tolist() == [True, False]

@@ -51,7 +51,9 @@ def test_random_states_are_a_fraction_and_depend_on_the_seed(world):
 )
 def test_states_are_counted_scene_by_scene(world, fraction, rule, states):
     reaching_another = set(states) - {37}
-    assert set(shown_by_expert(world, fraction, rule)["state"].tolist()) == reaching_another
+    shows = shown_by_expert(world, fraction, rule)
+    assert set(shows["state"].tolist()) == reaching_another
+    assert torch.equal(shows["scene"], world.scene_of[shows["state"]])
 
 
 def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no_preference(world):

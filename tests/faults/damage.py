@@ -51,26 +51,16 @@ def flip_bits_of_a_header(rng, path):
 
 @of_bytes
 def overwrite(rng, content):
-    length = int(rng.integers(1, 65))
+    length = int(rng.choice([rng.integers(1, 65), 512]))
     at = int(rng.integers(max(1, len(content) - length)))
     content[at : at + length] = rng.bytes(length) if rng.random() < 0.5 else bytes([rng.choice([0, 255])]) * length
 
 
 @of_bytes
-def zero_a_sector(rng, content):
-    at = 512 * int(rng.integers(max(1, len(content) // 512)))
-    content[at : at + 512] = bytes(len(content[at : at + 512]))
-
-
-@of_bytes
-def truncate(rng, content):
-    del content[rng.integers(len(content)) :]
-
-
-@of_bytes
 def lose_bytes(rng, content):
+    """A thousand bytes at most, or all to the end."""
     at, length = rng.integers(len(content)), rng.integers(1, 1000)
-    del content[at : at + length]
+    del content[at : at + length if rng.random() < 0.5 else None]
 
 
 @of_bytes
@@ -169,6 +159,6 @@ def lose_a_dataset(rng, path):
 
 
 WAYS = (flip_bits, flip_bits_of_metadata, flip_bits_of_a_header) * 2
-WAYS += (overwrite, zero_a_sector, truncate, lose_bytes, swap_sectors, change_attribute, change_type, change_shape)
+WAYS += (overwrite, lose_bytes, swap_sectors, change_attribute, change_type, change_shape)
 WAYS += (change_values, change_a_view, damage_a_chunk, lose_a_dataset)
 """Those that find most twice."""

@@ -242,36 +242,10 @@ def alike(one, other):
 
 
 def machine(bench, times, rng):
-    """Cases that stand for themselves, so many rounds of them."""
+    """Cases that stand for themselves, so many rounds of them; others are in tests/runs."""
     for _ in range(times):
-        for case in (same_second, double_resume, no_folder, file_limit, deleted_folder, broken_pipe):
+        for case in (file_limit, deleted_folder):
             yield case.__doc__.rstrip("."), case(bench)
-
-
-def same_second(bench):
-    """Two runs begun in the same second."""
-    folder = bench.folder / "2026-01-31_12-00-00"
-    children = [bench.start(folder, no_pictures) for _ in range(2)]
-    for ended in [child.wait() for child in children]:
-        if ended.status:
-            return ended.problem or f"does not run: {ended.told}"
-    second = folder.with_name(f"{folder.name}-2")
-    return bench.finish(folder) or bench.finish(second)
-
-
-def double_resume(bench):
-    """Two processes that resume the same run."""
-    folder, _ = stopped_run(bench)
-    children = [bench.start(folder, no_pictures) for _ in range(2)]
-    ended = sorted([child.wait() for child in children], key=lambda one: one.status or 0)
-    if ended[0].status != 0:
-        return ended[0].problem or f"does not run: {ended[0].told}"
-    return refused(ended[1], 1) or bench.finish(folder)
-
-
-def no_folder(bench):
-    """A folder that cannot be made."""
-    return refused(run(bench.folder, "train", f"scene={bench.scene}", *SHORT, "hydra.run.dir=/proc/run"), 74)
 
 
 def file_limit(bench):
@@ -289,18 +263,6 @@ def deleted_folder(bench):
         time.sleep(0.01)
     shutil.rmtree(folder, ignore_errors=True)
     return refused(child.wait(), 74)
-
-
-def broken_pipe(bench):
-    """What a run prints to is closed."""
-
-    def closed():
-        reading, writing = os.pipe()
-        os.close(reading)
-        os.dup2(writing, 1)
-
-    folder = bench.new_folder()
-    return refused(bench.train(folder, closed), 141) or bench.finish(folder)
 
 
 def spoil_bytes(data, rng):

@@ -1,6 +1,6 @@
 import pytest
 import torch
-from networks import FEATURES, SURROUNDING
+from networks import FEATURES, SCENES, SURROUNDING, make_policy, standardised_policy
 
 from dirl.models import FeatureTable, ObservationTable, feature_statistics, whitening
 
@@ -15,6 +15,14 @@ def test_features_are_standardised_dimension_by_dimension():
     assert table(torch.tensor([[2, 0]])).tolist() == [[[1, 0], [-1, 0]]]
     assert (len(table), table.width) == (3, 2)
     assert torch.equal(FeatureTable(features)(torch.arange(3)), features)
+
+
+def test_a_loaded_network_standardises_as_the_one_that_was_saved():
+    policy = standardised_policy()
+    fresh = make_policy(policy.features.features, SCENES)
+    assert not torch.equal(fresh.features.table, policy.features.table)
+    fresh.load_state_dict(policy.state_dict())
+    assert torch.equal(fresh.features.table, policy.features.table)
 
 
 def test_a_view_that_is_not_known_is_zeros_whatever_the_noise(monkeypatch):

@@ -1,5 +1,7 @@
 """Readers with a bound: what is inside a folder, and archives that declare more than they hold."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,10 @@ def test_bytes_that_are_no_text_and_no_table_are_refused(tmp_path):
         file.write_bytes(content)
         with pytest.raises(ValueError, match=says):
             read_rows(file)
+    file.unlink()
+    os.mkfifo(file)  # which may never end
+    with pytest.raises(ValueError, match=r"a\.csv: is no regular file"):
+        read_rows(file)
 
 
 def test_arrays_are_read_unless_they_unpack_to_far_more_than_they_are(tmp_path, monkeypatch):
