@@ -229,16 +229,6 @@ def mcap(size):
     return b"\x89MCAP0\r\n" + records + end + b"\x89MCAP0\r\n"
 
 
-def header_of_a_map(folder):
-    """A header of an array that is not in the file."""
-    with zipfile.ZipFile(folder / "a.npz", "w") as archive:
-        for name in ("frames", "shortcuts", "field_of_view"):
-            with archive.open(f"{name}.npy", "w") as stream:
-                about = {"descr": "|u1", "fortran_order": False, "shape": (2**33,)}
-                np.lib.format.write_array_header_1_0(stream, about)
-    return lambda: load_frames_map(folder / "a.npz")
-
-
 def description(text):
     def make(folder):
         (folder / "a.toml").write_text(text())
@@ -276,7 +266,6 @@ CASES = {
     "functions without end": tour("index.html")(lambda: "scenes: {" + ":function(){:a=>{:function(" * 200_000),
     "a WAD of 44 bytes": wad,
     "a map of 5.4 GB": frames_map,
-    "a header of a map": header_of_a_map,
     "pictures of a map": pictures_of_a_map,
     "a chunk of 4 GB in an MCAP file": bag(mcap),
     "a description of tables": description(lambda: "a = " + "[" * 100_000),
