@@ -50,6 +50,11 @@ def test_steps_follow_the_graph_and_earn_the_reward(room, scene):
             assert not truncated
 
 
+def test_goals_are_drawn_among_the_scenes_own():
+    env = gymnasium.make(NAME, scene="bathroom_02")
+    assert {env.reset(seed=seed)[1]["goal"] for seed in range(60)} == {26, 37, 43, 53, 69}
+
+
 def test_many_agents_share_the_tables_of_their_scene_until_its_file_changes(room, dump):
     vector = gymnasium.make_vec(NAME, num_envs=3, **room, max_episode_steps=5)
     seen, infos = vector.reset(seed=1)

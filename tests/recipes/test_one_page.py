@@ -29,6 +29,15 @@ def test_it_imports_nothing_of_the_package():
     assert not re.search(r"^\s*(from|import) dirl\b", Path(one_page.__file__).read_text(), re.MULTILINE)
 
 
+def test_its_room_is_the_packages(parts, room):
+    world, protocol = parts.world, parts.protocol
+    goal, state = world.pairs()
+    assert torch.equal(room.graph, world.graph)
+    assert torch.equal(room.goals, world.goals)
+    assert torch.equal(room.distance[state, goal].long(), world.distances.long())
+    assert torch.equal(room.stop[state, goal], protocol.stop)
+
+
 def test_the_losses_of_an_update_are_the_packages(parts, room):
     state, policy = train_state(parts), one_page.Policy(room)
     weights = plain_weights(parts.policy)

@@ -220,6 +220,16 @@ def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page,
     assert found == expected
 
 
+def test_an_agent_goes_on_from_where_it_was_led_as_if_it_began_there(tmp_path, open_page):
+    room = small_room(tmp_path, "episodic_memory=planning")
+    tab = open_page(room)
+    choose(tab, 1, 8)
+    for key in "dad":
+        tab.press("body", key)
+    step, state = shown(tab)
+    assert walked(tab) == [(step + done, at) for done, at in enumerate(room.path(1, state))][: LIMIT - step + 1]
+
+
 def test_two_agents_walk_side_by_side(tmp_path, open_page):
     room = clone(small_room(tmp_path, "imitation.fraction=1"), tmp_path)
     (tmp_path / "other").mkdir()

@@ -6,8 +6,9 @@ import h5py
 import numpy as np
 import pytest
 from malformed import hollow, instead, make, picture, refused, views
-from rooms import grid_scene
+from rooms import grid_scene, read_here
 
+from dirl.scenes.io import hdf5
 from dirl.scenes.io.hdf5 import write_digest
 
 HUGE = 2**40
@@ -108,6 +109,11 @@ ABSURD = [
 @pytest.mark.parametrize(("spoil", "says"), CASES, ids=[says[:50] for _, says in CASES])
 def test_a_malformed_dump_is_refused_in_one_line(tmp_path, spoil, says):
     assert refused(make(tmp_path / "room.h5", spoil)).startswith(says)
+
+
+def test_the_limit_itself_is_allowed(dump, monkeypatch):
+    monkeypatch.setattr(hdf5, "MAX_STATES", 24)
+    assert len(read_here(dump)) == 24
 
 
 def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path):
