@@ -105,6 +105,13 @@ def test_the_views_seen_longest_ago_are_forgotten():
     assert torch.equal(env.table.table[env.restore_agents(last)["view_ids"]], before)
 
 
+def test_a_simulator_that_dies_is_one_line():
+    simulator = Field()
+    env = make_env(simulator=simulator)
+    simulator.look = lambda heading: 1 / 0
+    refused(r"^field failed \(ZeroDivisionError: .*\); run the command again$", env.reset)
+
+
 @pytest.fixture
 def options(tmp_path, monkeypatch):
     """Of a training in the field, whose encoder is none of the package."""

@@ -141,6 +141,16 @@ def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, 
     assert (~episodes.success & ~episodes.false_stop & ~episodes.missed_stop).any()
 
 
+def test_a_memory_ends_the_circles_of_a_greedy_policy(world):
+    """A policy that always turns right finds only goals in its place; with the memory it tries what it has not."""
+    starts = every_start(world)
+    options = {"observation": SurroundingViews(world), "max_steps": 200}
+    without = run_episodes(always(RIGHT, 1.0), world, starts, **options)
+    remembered = run_episodes(always(RIGHT, 1.0), world, starts, memory=PlanningMemory(), **options)
+    assert without.success.float().mean() < 0.3
+    assert remembered.success.all()
+
+
 def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch):
     starts, options = every_start(world), {"observation": SurroundingViews(world), "memory": PlanningMemory()}
     whole = run_episodes(always(BACK, 1.0), world, starts, **options)

@@ -31,32 +31,29 @@ def map_scene(
     memory: LocalisingMemory,
     scores: VisitScores,
     steps_per_state: float,
-    seed: int = 0,
-    looks: range | None = None,
     *,
     panorama: bool = False,
 ) -> tuple[PlaceMap, list[int]]:
     """A map by one walk through a scene from a random state, and the states passed, by their places in the scene.
 
-    It has at most ``steps_per_state`` steps for each state. Every visit has a look sampled for it, one of ``looks`` or
-    of all; the scores are log odds that two visits are of the same place. The walker sees four views, or in a
-    ``panorama`` those of all headings, and the arrows of a tour.
+    It has at most ``steps_per_state`` steps for each state. Every visit has a look sampled for it; the scores are log
+    odds that two visits are of the same place. The walker sees four views, or in a ``panorama`` those of all headings,
+    and the arrows of a tour.
     """
     possible = world.possible
 
     def arrows(visit: Tensor) -> Tensor:
         return possible[visit % len(world)]
 
-    mapper = ParticleMapper(
-        memory, scores.of_visits, seed=seed, turns=int(world.turns[index]), arrows=arrows if panorama else None
-    )
+    turns = int(world.turns[index])
+    mapper = ParticleMapper(memory, scores.of_visits, turns=turns, arrows=arrows if panorama else None)
     around = world.panoramas() if panorama else world.surrounding
     scene, offset = world.scenes[index], world.offsets[index]
-    generator = torch.Generator(world.device).manual_seed(seed)
+    generator = torch.Generator(world.device).manual_seed(0)
 
     def seen(state: int) -> Tensor:
         here = torch.tensor([offset + state], device=world.device)
-        ahead = drawn_looks(here, len(world), world, generator, looks=looks)
+        ahead = drawn_looks(here, len(world), world, generator)
         return around[offset + state] + (ahead - ahead % len(world))
 
     start = int(torch.randint(len(scene), (1,), generator=generator, device=world.device))

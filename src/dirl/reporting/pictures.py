@@ -38,7 +38,6 @@ def draw_scene(
     *,
     matching: TemplateStop,
     facts: Summary,
-    count: int = 5,
 ) -> None:
     """Draw a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy.
 
@@ -49,12 +48,11 @@ def draw_scene(
         folder: for the files.
         matching: computes the map of matching scores.
         facts: of the run, see `dirl.training.build.describe`.
-        count: number of episodes in the picture.
     """
     world, scene = protocol.world, protocol.world.scenes[index]
     goal_index = world.goals_in(index)[0]
     file = folder / f"trajectories_{scene.name}.png"
-    goal, walked, success, title = draw_paths(policy, protocol, index, file, facts=facts, count=count)
+    goal, walked, success, title = draw_paths(policy, protocol, index, file, facts=facts)
     write_gif(scene, goal, walked, folder / f"episode_{scene.name}.gif", title=title, success=success)
     logits, value = answers(policy, world, protocol.observation, goal_index)
     draw_policy(

@@ -30,6 +30,9 @@ from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
 DASHES: tuple[float, Sequence[float]] = (0, (2, 1.2))
 
+EPISODES = 5
+"""In a picture of paths."""
+
 MAX_VIEWS = 8
 """Of a path; with the goal's they fill three rows of three."""
 
@@ -98,7 +101,6 @@ def draw_paths(
     file: Path,
     *,
     facts: Summary,
-    count: int = 5,
 ) -> tuple[int, list[int], bool, str]:
     """Draw greedy episodes to a scene's first goal, as `draw_scene` does.
 
@@ -109,7 +111,7 @@ def draw_paths(
     goal_index, offset = world.goals_in(index)[0], world.offsets[index]
     distances = world.block(world.distances, goal_index).long()
     order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())] + offset
-    starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(count, len(order))).long()]
+    starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(EPISODES, len(order))).long()]
     episodes, paths = protocol.trajectories(policy, (torch.full_like(starts, goal_index), starts))
     goal = int(world.goals[goal_index]) - offset
     title = f"{run_title({**facts, 'scene': scene.name, 'source': scene.source})}, goal {goal}"

@@ -172,13 +172,13 @@ class Recording:
                 process.stdout.close()
 
 
-def read_photo(file: str | Path, side: int = SIDE) -> NDArray[np.uint8]:
-    """Return a photo, upright, RGB, uint8 ``[H, W, 3]``, its longer side ``side`` pixels or less.
+def read_photo(file: str | Path) -> NDArray[np.uint8]:
+    """Return a photo, upright, RGB, uint8 ``[H, W, 3]``, its longer side `SIDE` pixels or less.
 
     Raises:
         SceneError: it cannot be decoded, or has 16 bits.
     """
-    return _small(file, open_photo(file), side)
+    return _small(file, open_photo(file))
 
 
 def photo_field_of_view(file: str | Path) -> float | None:
@@ -193,10 +193,10 @@ def photo_field_of_view(file: str | Path) -> float | None:
     return float(2 * np.degrees(np.arctan((12 if upright != across else 18) / focal))) if focal > 0 else None
 
 
-def _small(source: str | Path, image: Image.Image, side: int = SIDE) -> NDArray[np.uint8]:
+def _small(source: str | Path, image: Image.Image) -> NDArray[np.uint8]:
     if image.mode.startswith(("I", "F")):
         raise SceneError(f"{source}: a picture of 16 bits or more, as of depth or heat; convert it to 8 bits")
-    scale = min(1.0, side / max(image.size))
+    scale = min(1.0, SIDE / max(image.size))
     size = max(1, round(image.width * scale)), max(1, round(image.height * scale))
     return np.asarray(image.convert("RGB").resize(size, Image.Resampling.BOX))
 

@@ -51,24 +51,23 @@ KINDS = {
 }
 
 
-def sample_room(kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True) -> RoomDescription:
+def sample_room(kind: str, seed: int, *, look: bool = True) -> RoomDescription:
     """Return a random room that passes `check_room` and, in small views, `check_views`; kind and seed determine it.
 
     Args:
         kind: bathroom, bedroom, kitchen or living_room.
         seed: any number from 0 on; every one gives another room.
-        attempts: rooms to draw before giving up.
         look: check the views too, which takes some ten seconds an attempt; else only the furniture and the places.
 
     Raises:
         SceneError: there is no such kind, the seed is negative, or no attempt passed; the message says why the last
             one did not.
     """
-    return sample_views(kind, seed, attempts=attempts, look=look)[0]
+    return sample_views(kind, seed, look=look)[0]
 
 
 def sample_views(
-    kind: str, seed: int, *, attempts: int = ATTEMPTS, look: bool = True, threads: int | None = None
+    kind: str, seed: int, *, look: bool = True, threads: int | None = None
 ) -> tuple[RoomDescription, list[View]]:
     """Return the room that `sample_room` returns, and the views of its check: of `LOOK` pixels, in coarse light.
 
@@ -77,8 +76,7 @@ def sample_views(
     check_choice(kind, KINDS, "kind")
     if seed < 0:
         raise SceneError(f"seed={seed}: must not be negative")
-    problems = ["attempts must be at least 1"]
-    for attempt in range(attempts):
+    for attempt in range(ATTEMPTS):
         room = draw_room(kind, seed, attempt)
         problems = problems_of(room, KINDS[kind])
         views = look_around(room, threads) if look and not problems else []
@@ -86,7 +84,7 @@ def sample_views(
             problems = view_problems(views, walk(room))
         if not problems:
             return room, views
-    raise SceneError(f"kind={kind} seed={seed}: none of {attempts} rooms passed the checks; the last: {problems[0]}")
+    raise SceneError(f"kind={kind} seed={seed}: none of {ATTEMPTS} rooms passed the checks; the last: {problems[0]}")
 
 
 def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
