@@ -67,7 +67,10 @@ SHORTER = {
     "install.md": {"range(60)": "range(4)"},
     "own_photographs.md": {"height=150 width=200": "height=48 width=64"},
     "own_rooms.md": {"height=60 width=80": "height=24 width=32"},
-    "rooms.md": {"RoomSettings(height=48, width=64": "RoomSettings(height=24, width=32"},
+    "rooms.md": {
+        "RoomSettings(height=48, width=64": "RoomSettings(height=24, width=32",
+        "seed=3 out=flat": "seed=3 out=flat height=16",
+    },
     "gymnasium.md": {"40_960": "1_024", "36_864": "128", "set(range(180))": "set(range(20, 40))"},
     "navigator.md": {
         'frames_per_scene=30000"': 'frames_per_scene=240", "imitation.max_steps=5", "evaluation.max_steps=10"',

@@ -18,6 +18,15 @@ def views(count, seed=0):
     return torch.randn(count, 4, POOLED + 6, generator=torch.Generator().manual_seed(seed))
 
 
+def test_the_goal_enters_by_the_cosines_of_its_patches_and_of_its_views_alone(encoder):
+    seen, goals = views(6), (views(6, seed=1), views(6, seed=2))
+    for projection in (encoder.patch_projection, encoder.view_projection):
+        assert not torch.equal(*(encoder(seen, goal) for goal in goals))
+        with torch.no_grad():
+            projection.weight.zero_()
+    assert torch.equal(*(encoder(seen, goal) for goal in goals))
+
+
 def test_a_view_has_unit_vectors_and_one_that_is_not_known_no_cosine_with_anything(encoder):
     goal = views(6, seed=1)
     goal[:, 1:] = 0

@@ -1,8 +1,12 @@
 """Views: three formats of images and no other, decoded when somebody looks."""
 
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from malformed import VIEW, picture
+from PIL import Image
 from rooms import grid_scene, read_here
 
 from dirl.scenes import write_dump
@@ -15,6 +19,15 @@ def reason(data):
         return "" if decode(data).shape[2] == 3 else "no RGB"
     except ImageError as error:
         return str(error)
+
+
+def test_decoding_in_threads_changes_nothing_of_the_process(monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    filters, data = [*warnings.filters], picture("PNG", (40, 30))
+    with ThreadPoolExecutor(4) as threads:
+        assert {view.shape for view in threads.map(decode, [data] * 400)} == {(30, 40, 3)}
+    assert Image.MAX_IMAGE_PIXELS == 100
+    assert warnings.filters == filters
 
 
 @pytest.mark.parametrize("kind", FORMATS)
