@@ -398,14 +398,12 @@ def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainC
     """Return the first configuration with tensors, which broadcast to batches, for numbers in which runs may differ."""
 
     def by_run(option: str, dims: int) -> Any:
-        values = [attrgetter(option)(config) for config in configs]
-        return torch.tensor(values, device=device).view(-1, *[1] * dims)
+        return torch.tensor([attrgetter(option)(own) for own in configs], device=device).view(-1, *[1] * dims)
 
     first = configs[0]
-    reward = {one.name: by_run(f"reward.{one.name}", 1) for one in fields(first.reward)}
+    reward = replace(first.reward, **{one.name: by_run(f"reward.{one.name}", 1) for one in fields(first.reward)})
     discount = {name: by_run(f"reinforcement.{name}", 3) for name in ("gamma", "lmbda")}
-    options = replace(first.reinforcement, **discount)
-    return replace(first, reward=replace(first.reward, **reward), reinforcement=options)
+    return replace(first, reward=reward, reinforcement=replace(first.reinforcement, **discount))
 
 
 def mean(value: Tensor, counts: Tensor | None) -> Tensor:
