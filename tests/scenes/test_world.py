@@ -40,14 +40,6 @@ def test_scenes_lie_one_behind_the_other(world, scenes):
     assert world.surrounding.tolist() == np.concatenate(expected).tolist()
 
 
-def test_moves_are_those_of_the_scenes_and_blocked_ones_stay(world, scenes):
-    for scene, offset in zip(scenes, world.offsets, strict=True):
-        for state in range(len(scene)):
-            moves = [next_state if next_state >= 0 else state for next_state in scene.graph[state].tolist()]
-            assert world.graph[offset + state].tolist() == [offset + move for move in moves]
-    assert (world.graph == torch.arange(len(world))[:, None]).any()
-
-
 def test_panoramas_are_the_states_after_each_turn_right_if_all_scenes_have_as_many(world):
     quarters = make_world([hall()])
     assert torch.equal(quarters.panoramas(), quarters.surrounding)
@@ -84,14 +76,6 @@ def test_the_distance_of_each_pair_is_that_of_a_search_in_its_scene(world, scene
         assert world.distance(torch.tensor(index), states[:6].view(2, 3)).tolist() == [expected[:3], expected[3:6]]
         assert world.distances[world.pair(goal_index, states)].tolist() == expected
         assert world.block(world.distances, index).tolist() == expected
-
-
-def test_pairs_are_listed_in_the_order_of_their_tables(world):
-    goal_index, state = world.pairs()
-    assert len(goal_index) == len(state) == len(world.distances) == 24 + 2 * 32 + 24
-    assert torch.equal(world.pair(goal_index, state), torch.arange(len(state)))
-    assert torch.equal(world.scene_of[state], world.scene_of[world.goals[goal_index]])
-    assert torch.stack([goal_index, state]).unique(dim=1).shape[1] == len(state)
 
 
 def test_goals_replace_those_of_the_scenes_that_they_name(scene, scenes):

@@ -89,18 +89,6 @@ def test_a_folder_without_a_table_and_an_empty_table_are_refused(tmp_path):
     refused(r"states\.csv: is empty", read_photos, tmp_path)
 
 
-def test_images_are_turned_upright_cropped_and_scaled(tmp_path):
-    picture = Image.new("RGB", (60, 120), "red")  # lies on its side: upright it is 120 wide, its left end blue
-    picture.paste("blue", (0, 80, 60, 120))
-    exif = Image.Exif()
-    exif[0x0112] = 6  # turn by 90 degrees clockwise
-    picture.save(tmp_path / "phone.jpg", exif=exif, quality=95)
-    (view,) = map(decode, encoded_photos([tmp_path / "phone.jpg"], 30, 40))
-    assert view.shape == (30, 40, 3)
-    assert view[15, 2].argmax() == 2
-    assert view[15, 37].argmax() == 0
-
-
 def test_a_panorama_and_what_is_no_image_are_no_views(tmp_path):
     mark = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><GPano:ProjectionType>x</GPano:ProjectionType></x:xmpmeta>'
     for size, options in (((400, 200), {}), ((4000, 1990), {}), ((400, 300), {"xmp": mark})):
