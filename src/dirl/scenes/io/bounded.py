@@ -61,7 +61,7 @@ def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: 
     try:
         return read_bytes(file, most).decode(encoding, errors)
     except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: is not UTF-8 text ({error})") from None
+        raise ValueError(f"{file}: is not UTF-8 text ({error}); save it as UTF-8") from None
 
 
 def read_rows(file: Path) -> list[dict[str, str]]:

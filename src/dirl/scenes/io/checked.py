@@ -100,6 +100,16 @@ def inside(folder: Path, name: object, where: str) -> Path:
     return found
 
 
+def text_of(file: Path, most: int = MOST) -> str:
+    """Return the text of a file that somebody else wrote, UTF-8; `SceneError` if it cannot be read, or is none."""
+    try:
+        return read_text(file, most, encoding="utf-8-sig")
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise SceneError(str(error)) from None
+
+
 def read_csv(
     file: Path, required: Sequence[str], optional: Sequence[str] = (), most: int = MOST
 ) -> list[tuple[str, dict[str, str]]]:
@@ -107,12 +117,7 @@ def read_csv(
 
     `SceneError` if it cannot be read, has another column or lacks one, or a line is none of the table.
     """
-    try:
-        lines = read_text(file, most, encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise SceneError(f"{file}: cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        raise SceneError(f"{error}; save it as CSV UTF-8") from None
+    lines = text_of(file, most).splitlines()
     if not lines:
         raise SceneError(f"{file}: is empty; its first line names the columns: {','.join(required)}")
     # Spreadsheets of countries with a decimal comma separate by semicolons.

@@ -16,8 +16,7 @@ from typing import Annotated, Any, ClassVar, get_type_hints
 import tomli_w
 from annotated_types import Ge, Gt, Le
 
-from dirl.scenes.io.bounded import read_text
-from dirl.scenes.io.checked import check_choice, checked
+from dirl.scenes.io.checked import check_choice, checked, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.furniture import FURNITURE
 from dirl.sources.rooms.textures import TEXTURES
@@ -161,15 +160,11 @@ def read_description(path: str | Path) -> RoomDescription:
         SceneError: there is no such file, it is not TOML, or something in it is unknown, missing or out of range. The
             message names the file, the table and the key.
     """
-    path = Path(path)
+    text = text_of(Path(path), MOST_TEXT)
     try:
-        return parse_description(read_text(path, MOST_TEXT))
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error})") from None
+        return parse_description(text)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
-    except ValueError as error:
-        raise SceneError(str(error)) from None
 
 
 @dataclass

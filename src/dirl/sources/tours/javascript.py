@@ -14,10 +14,10 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from dirl.scenes.io.checked import LONGEST, inside
+from dirl.scenes.io.checked import LONGEST, inside, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import Described, FlatError, Link, Panorama, entries, entry, number, read_json, tour_text
+from dirl.sources.tours.tour import MOST_TEXT, Described, FlatError, Link, Panorama, entries, entry, number, read_json
 
 COMMENT = r"(?>(?:\s|//[^\n]*\n|/\*.*?\*/)*)"  # atomic: else each comment doubles the time to find no match
 ASSIGNMENT = re.compile(
@@ -27,7 +27,7 @@ ASSIGNMENT = re.compile(
 
 def read_marzipano(file: Path) -> Described:
     """Read the tour that a ``data.js`` describes."""
-    text = tour_text(file)
+    text = text_of(file, MOST_TEXT)
     assigned = ASSIGNMENT.match(text)
     if assigned is None:
         raise SceneError(f"{file}: expected 'var APP_DATA = {{...}};', as the Marzipano Tool writes it")
@@ -85,7 +85,7 @@ MOST_PARSED = 2**28
 
 def read_pannellum(file: Path) -> Described:
     """Read the tour that a configuration describes."""
-    text = _without_functions(tour_text(file))
+    text = _without_functions(text_of(file, MOST_TEXT))
     data = read_json(text, file) if text.lstrip().startswith("{") else _within(text, file)
     common = data.get("default")
     common = common if isinstance(common, Mapping) else {}

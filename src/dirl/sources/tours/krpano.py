@@ -10,15 +10,15 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from dirl.scenes.io.checked import LONGEST, inside
+from dirl.scenes.io.checked import LONGEST, inside, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
-from dirl.sources.tours.tour import Described, FlatError, Link, Panorama, number, tour_text
+from dirl.sources.tours.tour import MOST_TEXT, Described, FlatError, Link, Panorama, number
 
 
 def read_krpano(file: Path) -> Described:
     """Read the tour that a ``tour.xml`` describes."""
-    text = tour_text(file)
+    text = text_of(file, MOST_TEXT)
     if "<!DOCTYPE" in text:  # it can declare entities; refused before anything is expanded
         raise SceneError(f"{file}: has a document type (DOCTYPE), which no tour needs")
     try:

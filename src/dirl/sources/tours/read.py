@@ -4,12 +4,12 @@ from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 
-from dirl.scenes.io.checked import inside, read_csv
+from dirl.scenes.io.checked import inside, read_csv, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.javascript import SCENES, read_marzipano, read_pannellum
 from dirl.sources.tours.krpano import read_krpano
-from dirl.sources.tours.tour import MOST_TEXT, Described, Link, Panorama, Tour, make_tour, number, tour_text
+from dirl.sources.tours.tour import MOST_TEXT, Described, Link, Panorama, Tour, make_tour, number
 
 LINKS, PLACES = "links.csv", "panoramas.csv"
 
@@ -96,6 +96,6 @@ def read_tour(path: str | Path, *, skip: Collection[str] = ()) -> Tour:
 
 def _has_scenes(file: Path) -> bool:
     try:
-        return SCENES.search(tour_text(file)) is not None
+        return SCENES.search(text_of(file, MOST_TEXT)) is not None
     except SceneError:  # too large, or no text: a library or a picture
         return False

@@ -12,7 +12,6 @@ from typing import TypeVar
 
 import pyjson5
 
-from dirl.scenes.io.bounded import read_text
 from dirl.scenes.io.checked import check_choice
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Cube, Equirectangular
@@ -183,16 +182,6 @@ def read_json(text: str, where: Path) -> dict[str, object]:
     if not isinstance(found, dict):
         raise SceneError(f"{where}: expected an object, {{...}}")
     return found
-
-
-def tour_text(file: Path) -> str:
-    """Return the text of a file that describes a tour."""
-    try:
-        return read_text(file, MOST_TEXT, encoding="utf-8-sig")
-    except OSError as error:
-        raise SceneError(f"{file}: cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        raise SceneError(str(error)) from None
 
 
 Kind = TypeVar("Kind")
