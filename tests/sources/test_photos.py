@@ -89,6 +89,15 @@ def test_a_folder_without_a_table_and_an_empty_table_are_refused(tmp_path):
     refused(r"states\.csv: is empty", read_photos, tmp_path)
 
 
+def test_images_are_cropped_in_the_middle_and_scaled(tmp_path):
+    picture = Image.new("RGB", (100, 60), "red")
+    picture.paste("blue", (0, 0, 8, 60))  # of ten columns that are cut off
+    picture.save(tmp_path / "a.png")
+    (view,) = map(decode, encoded_photos([tmp_path / "a.png"], 30, 40))
+    assert view.shape == (30, 40, 3)
+    assert (view.argmax(-1) == 0).all()
+
+
 def test_a_panorama_and_what_is_no_image_are_no_views(tmp_path):
     mark = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><GPano:ProjectionType>x</GPano:ProjectionType></x:xmpmeta>'
     for size, options in (((400, 200), {}), ((4000, 1990), {}), ((400, 300), {"xmp": mark})):
