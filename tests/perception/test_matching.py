@@ -34,6 +34,17 @@ def test_a_turn_is_measured_on_the_spot_and_while_walking(matcher, turn):
         assert motion.turned == pytest.approx(turn, abs=5)
 
 
+def test_a_turn_by_more_than_a_view_shows_is_none(matcher, monkeypatch):
+    """Of views a full turn apart, or of blank walls, points agree by chance."""
+    views = matcher.describe([look(6, 2.5, 0)])
+    for turn, told in ((50, True), (141, False)):
+        cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+        camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
+        turned = camera @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]] @ np.linalg.inv(camera)
+        monkeypatch.setattr(matcher, "_fitted", lambda *_, found=turned, **__: (found, 20))
+        assert (matcher.motion(views, views, 0, (180, 320), 65.0) is not None) == told
+
+
 def test_views_without_points_agree_on_nothing(matcher):
     views = matcher.describe([np.full((60, 80, 3), 90, np.uint8), look(6, 2.5, 0)])
     assert matcher.fit(views[:1], views, [1]).score == 0

@@ -49,8 +49,6 @@ def test_pictures_that_are_not_read_are_refused_and_not_left_out(tmp_path):
     refused(r"1\.png: ", lambda: list(Recording(folder)))
     Image.fromarray(np.full((HIGH, WIDE), 40000, np.uint16)).save(folder / "1.png")
     refused("16 bits", lambda: list(Recording(folder)))
-    Image.fromarray(np.zeros((8, 9, 3), np.uint8)).save(folder / "1.png")
-    refused("different shapes", lambda: list(Recording(folder)))
     refused("holds no images", Recording, tmp_path)
     os.mkfifo(tmp_path / "pipe.mp4")
     refused("there is no such", Recording, tmp_path / "pipe.mp4")
@@ -177,6 +175,6 @@ def test_of_several_topics_one_is_chosen_and_what_is_no_bag_is_refused(tmp_path,
     assert len(list(Recording(path, topic="/rear"))) == 5
     refused("has no topic /front of Image .*; it has /camera", lambda: list(Recording(path, topic="/front")))
     (tmp_path / "cut.mcap").write_bytes(next(path.glob("*.mcap")).read_bytes()[:500])
-    refused("is no bag that is read", Recording, tmp_path / "cut.mcap")
+    refused("is no bag that can be read", Recording, tmp_path / "cut.mcap")
     odd = write_bag(tmp_path / "odd", store, "sqlite", "32FC1")
     refused("encoding 32FC1", lambda: list(Recording(odd)))

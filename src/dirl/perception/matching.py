@@ -48,8 +48,9 @@ RATIO = 0.85
 EPIPOLAR, HOMOGRAPHY = 2.0, 6.0
 """Pixels that points may be off the geometry of a moved camera, and of one that only turned or sees a plane."""
 
-ROTATION = 0.03
-"""How much a homography may stretch one direction more than another, where the camera only turned."""
+ROTATION, STILL = (0.03, 0.01), 2.0
+"""How much a homography may stretch one direction more than another, where the camera only turned, and where it turned
+by less than `STILL` degrees: who walks towards a wall far away changes hardly more of the view."""
 
 LEAST = 8
 """Matches that determine a geometry."""
@@ -166,9 +167,9 @@ class Described:
         return Described(self.looks[some], self.positions[some], self.vectors[some], self.counts[some])
 
     @property
-    def arrays(self) -> list[NDArray[Any]]:
-        """All that is known, in the order of the fields."""
-        return [getattr(self, field.name) for field in fields(self)]
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All that is known, by the names of the fields."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
     def components(self) -> tuple[Tensor, Tensor]:
@@ -284,15 +285,17 @@ class Matcher:
         )
         if max(turned, moved) < 2 * LEAST:
             return None
-        on_the_spot = False
+        stretched, angle = np.inf, 0.0
         if turned >= 2 * LEAST:
             left, stretch, right = np.linalg.svd(np.linalg.inv(camera) @ homography @ camera)
-            rotation = left @ right * np.sign(np.linalg.det(left @ right))
-            on_the_spot = bool(stretch.std() < ROTATION * stretch.mean())
-        if not on_the_spot and essential is not None:
+            angle = _heading(left @ right * np.sign(np.linalg.det(left @ right)))
+            stretched = stretch.std() / stretch.mean()
+        on_the_spot = bool(stretched < ROTATION[abs(angle) < STILL])
+        if stretched >= ROTATION[0] and essential is not None:
             # Of the two rotations of an essential matrix one is turned by half a circle about the way.
-            rotation = max(self._cv2.decomposeEssentialMat(essential[:3])[:2], key=np.trace)
-        return Motion(0.0, 0.0, float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2]))), on_the_spot)
+            angle = _heading(max(self._cv2.decomposeEssentialMat(essential[:3])[:2], key=np.trace))
+        # Two views have nothing in common if the camera turned by more than it sees; then points agree by chance.
+        return Motion(0.0, 0.0, angle, on_the_spot) if abs(angle) <= field_of_view else None
 
     def likeness(
         self, seen: Described, frames: Described, likely: NDArray[np.float64] | None = None
@@ -305,6 +308,11 @@ class Matcher:
         untold = np.zeros(len(some), np.float32)
         scores = [self.agreeing(self.match(seen, frames, frame)) for frame in some]
         return Fit(np.array(scores, np.float32), untold, untold, untold)
+
+
+def _heading(rotation: NDArray[np.float64]) -> float:
+    """Degrees to the left of a rotation of the camera."""
+    return float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2])))
 
 
 def _xfeat() -> PointFinder:

@@ -7,8 +7,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import islice
+from math import prod
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
@@ -43,13 +45,13 @@ BAG_MEMORY = 2 * 2**30
 """Bytes of address space of the process that reads a bag: a chunk of a megabyte may unpack to many gigabytes."""
 
 ENCODINGS = {
-    "rgb8": ("RGB", "RGB", 3),
-    "bgr8": ("RGB", "BGR", 3),
-    "rgba8": ("RGB", "RGBX", 4),
-    "bgra8": ("RGB", "BGRX", 4),
-    "mono8": ("L", "L", 1),
+    "rgb8": ("RGB", "RGB"),
+    "bgr8": ("RGB", "BGR"),
+    "rgba8": ("RGB", "RGBX"),
+    "bgra8": ("RGB", "BGRX"),
+    "mono8": ("L", "L"),
 }
-"""Of raw images of a bag: Pillow's mode, how the bytes lie, and bytes of a pixel."""
+"""Of raw images of a bag: Pillow's mode, and how the bytes lie."""
 
 STAMP = re.compile(r"\] n: *\d+ pts:.*? pts_time:([-\d.]+)")
 
@@ -98,7 +100,7 @@ class Recording:
         elif not self.source.is_dir() and not self.source.is_file():  # ffmpeg would wait for a pipe
             raise SceneError(f"{self.source}: there is no such video, folder of images or bag")
         else:
-            duration = next(self._read_bag())[0] if self.is_bag else _video_duration(self.source)
+            duration = next(self._read_bag()).time if self.is_bag else _video_duration(self.source)
             self.count = int(duration / self.every) + 1
             """Frames that will be kept, about."""
 
@@ -108,17 +110,9 @@ class Recording:
         return self.source.is_dir() or self.source.suffix in BAGS
 
     def __iter__(self) -> Iterator[Frame]:
-        frames: Iterator[Frame]
         if self.files:
-            frames = (Frame(read_photo(file), number * self.every) for number, file in enumerate(self.files))
-        else:
-            frames = self._bag_frames() if self.is_bag else _video_frames(self.source, self.every)
-        shape = None
-        for frame in frames:
-            if shape is not None and frame.image.shape != shape:
-                raise SceneError(f"{self.source}: its images are of different shapes; a recording is of one camera")
-            shape = frame.image.shape
-            yield frame
+            return (Frame(read_photo(file), number * self.every) for number, file in enumerate(self.files))
+        return islice(self._read_bag(), 1, None) if self.is_bag else _video_frames(self.source, self.every)
 
     def _list_images(self) -> None:
         names = [file for file in self.source.iterdir() if file.is_file() and not file.name.startswith(".")]
@@ -133,43 +127,37 @@ class Recording:
             raise SceneError(f"{self.source}: holds no images ({', '.join(SUFFIXES)})")
         self.field_of_view = photo_field_of_view(self.files[0])
 
-    def _bag_frames(self) -> Iterator[Frame]:
-        answers = self._read_bag()
-        next(answers)
-        for time, place, shape, data in answers:
-            yield Frame(np.frombuffer(data, np.uint8).reshape(shape), time, place)
-
-    def _read_bag(self) -> Iterator[Any]:
-        """Yield what `write_bag_frames` says in a process of its own: the duration, then frames."""
-        files = [file for file in self.source.iterdir() if file.is_file()] if self.source.is_dir() else [self.source]
+    def _read_bag(self) -> Iterator[Frame]:
+        """Yield what `write_bag_frames` writes in a process of its own: the end, without pixels, then the frames."""
+        files = self.source.iterdir() if self.source.is_dir() else [self.source]
         size = sum(file.stat().st_size for file in files)
-        request = {**asdict(self), "source": str(self.source.absolute()), "size": size}
-        code = "from dirl.sources.video import write_bag_frames; write_bag_frames()"
-        with tempfile.TemporaryDirectory() as folder:  # where a bag that is compressed as a whole is unpacked
-            process = subprocess.Popen(
-                [sys.executable, "-S", "-P", "-c", code],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env={**environment(), "TMPDIR": folder},
-            )
-            assert process.stdin is not None
-            assert process.stdout is not None
-            try:
-                with suppress(BrokenPipeError), process.stdin as stream:
-                    stream.write(json.dumps(request).encode())
-                while line := process.stdout.readline():
-                    answer = json.loads(line)
-                    if isinstance(answer, str):
-                        raise SceneError(f"{self.source}: {answer}")
-                    yield (*answer, process.stdout.read(np.prod(answer[2], dtype=int))) if len(answer) > 1 else answer
-                if status := process.wait():
-                    why = why_ended(status, _bag_seconds(size), "its reader")
-                    raise SceneError(f"{self.source}: {why}")
-            finally:
-                process.kill()
-                process.wait()
-                process.stdout.close()
+        seconds = SECONDS + SECONDS_A_MEGABYTE * size / 1e6
+        request = {**asdict(self), "source": str(self.source.absolute())}
+        code = f"from dirl.sources.video import write_bag_frames; write_bag_frames({size}, {seconds}, **{request})"
+        command = [sys.executable, "-S", "-P", "-c", code]
+        with (
+            tempfile.TemporaryDirectory() as folder,  # where a bag that is compressed as a whole is unpacked
+            _running(command, stderr=subprocess.DEVNULL, env={**environment(), "TMPDIR": folder}) as (process, answers),
+        ):
+            while line := answers.readline():
+                answer = json.loads(line)
+                if isinstance(answer, str):
+                    raise SceneError(f"{self.source}: {answer}")
+                time, place, shape = answer
+                yield Frame(np.frombuffer(answers.read(prod(shape)), np.uint8).reshape(shape), time, place)
+            if status := process.wait():
+                raise SceneError(f"{self.source}: {why_ended(status, seconds, 'its reader')}")
+
+
+@contextmanager
+def _running(command: list[str], **options: Any) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
+    """Run a program while its output is read; nobody waits for what is not read."""
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, **options) as process:
+        assert process.stdout is not None
+        try:
+            yield process, process.stdout
+        finally:
+            process.kill()
 
 
 def read_photo(file: str | Path) -> NDArray[np.uint8]:
@@ -231,24 +219,21 @@ def _video_frames(file: Path, every: float) -> Iterator[Frame]:
     scaled = f"scale='if(gt(iw,ih),min({SIDE},iw),-2)':'if(gt(iw,ih),-2,min({SIDE},ih))':flags=area"
     output = ["-map", "0:v:0", "-vf", f"{chosen},{scaled},showinfo", "-fps_mode", "passthrough"]
     output += ["-f", "image2pipe", "-c:v", "ppm", "pipe:1"]
-    with tempfile.NamedTemporaryFile("wb") as log, open(log.name, errors="replace") as told:
-        process = subprocess.Popen([*_arguments(file), *output], stdout=subprocess.PIPE, stderr=log)
-        assert process.stdout is not None
+    with (
+        tempfile.NamedTemporaryFile("wb") as log,
+        open(log.name, errors="replace") as told,
+        _running([*_arguments(file), *output], stderr=log) as (process, pictures),
+    ):
         stamps: list[float] = []
         text, number = "", 0
-        try:
-            while image := _read_ppm(process.stdout):
-                # A frame is told of before it is written, so that its line is there by now.
-                text += told.read()
-                stamps += [float(stamp) for stamp in STAMP.findall(text)]
-                text = STAMP.sub("", text)
-                yield Frame(np.asarray(image), stamps[number] - stamps[0])
-                number += 1
-            process.wait()
-        finally:
-            process.kill()
-            process.wait()
-            process.stdout.close()
+        while image := _read_ppm(pictures):
+            # A frame is told of before it is written, so that its line is there by now.
+            text += told.read()
+            stamps += [float(stamp) for stamp in STAMP.findall(text)]
+            text = STAMP.sub("", text)
+            yield Frame(np.asarray(image), stamps[number] - stamps[0])
+            number += 1
+        process.wait()
         if wrong := MATTERS.findall(text + told.read()):
             raise SceneError(f"{file}: is damaged after {number} frames ({wrong[0].strip()[:120]})")
 
@@ -263,39 +248,39 @@ def _read_ppm(stream: IO[bytes]) -> Image.Image | None:
     return Image.frombytes("RGB", (width, height), data) if len(data) == 3 * width * height else None
 
 
-def _bag_seconds(size: int) -> float:
-    """Of the processor, that reading a bag of so many bytes may take."""
-    return SECONDS + SECONDS_A_MEGABYTE * size / 1e6
+def write_bag_frames(
+    size: int, seconds: float, source: str, every: float, topic: str | None, odometry: str | None
+) -> None:
+    """In a process of its own: write what is in a bag of so many bytes to the standard output.
 
-
-def write_bag_frames() -> None:
-    """In a process of its own: write to the standard output what is in the bag that the standard input tells of.
-
-    It is a line of JSON for the duration, and one for each frame, with its pixels after it; a text is an error.
+    It is a line of JSON for each frame, with its pixels after it; a text is an error.
     """
-    request = json.load(sys.stdin)
-    size, source = request["size"], Path(request["source"])
     limit("RLIMIT_AS", BAG_MEMORY)
     limit("RLIMIT_FSIZE", max(FREELY_UNPACKED, MOST_RATIO * size))
-    limit("RLIMIT_CPU", _bag_seconds(size))
+    limit("RLIMIT_CPU", seconds)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what the readers of bags print
     try:
-        for answer, data in _bag_answers(source, request["every"], request["topic"], request["odometry"]):
-            answers.write(json.dumps(answer).encode() + b"\n" + data)
+        for image, time, place in _bag_frames(Path(source), every, topic, odometry):
+            answers.write(json.dumps([time, place, image.shape]).encode() + b"\n" + image.tobytes())
     except SceneError as error:
         answers.write(json.dumps(str(error)).encode() + b"\n")
     except Exception as error:  # each storage plugin raises its own
-        answers.write(json.dumps(f"is damaged ({type(error).__name__}: {_line(error)})").encode() + b"\n")
+        reason = " ".join(str(error).split())[:120]
+        answers.write(json.dumps(f"is no bag that can be read ({type(error).__name__}: {reason})").encode() + b"\n")
     answers.flush()
 
 
-def _bag_answers(
-    source: Path, every: float, topic: str | None, odometry_topic: str | None
-) -> Iterator[tuple[list[object], bytes]]:
-    """Yield the duration of a bag, seconds; then the time, the place and the shape of each frame, and its pixels."""
-    with _opened_bag(source) as reader:
-        yield [reader.duration / 1e9], b""
+def _bag_frames(source: Path, every: float, topic: str | None, odometry_topic: str | None) -> Iterator[Frame]:
+    """Yield the end of a bag, without pixels, and then its frames."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise SceneError("a bag needs a package that is not installed: pip install 'dirl[bags]'") from None
+    # A bag without definitions of its own is of ROS 2; those of images and odometry are alike in all its versions.
+    with AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        yield Frame(np.zeros((0, 0, 3), np.uint8), reader.duration / 1e9)
         images = _connections(reader, "topic", topic, ("Image", "CompressedImage"))
         if not images:
             raise SceneError(f"has no topic of images; it has {_topics(reader)}")
@@ -309,23 +294,7 @@ def _bag_answers(
             time = (stamp - start) / 1e9
             if time - last >= 0.999 * every:
                 last = time
-                image = _message_image(reader.deserialize(data, connection.msgtype))
-                yield [time, place, image.shape], image.tobytes()
-
-
-def _opened_bag(source: Path) -> "closing[AnyReader]":
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise SceneError("a bag needs a package that is not installed: pip install 'dirl[bags]'") from None
-    try:
-        # A bag without definitions of its own is of ROS 2; those of images and odometry are alike in all its versions.
-        reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-    except Exception as error:  # of the storage plugins, and struct.error of damaged files
-        raise SceneError(f"is no bag that is read ({type(error).__name__}: {_line(error)})") from None
-    return closing(reader)
+                yield Frame(_message_image(reader.deserialize(data, connection.msgtype)), time, place)
 
 
 def _connections(reader: "AnyReader", option: str, topic: str | None, kinds: tuple[str, ...]) -> "list[Connection]":
@@ -363,11 +332,5 @@ def _message_image(message: Any) -> NDArray[np.uint8]:
     if message.encoding not in ENCODINGS:
         choices = ", ".join(ENCODINGS)
         raise SceneError(f"images of encoding {message.encoding} are not read; expected {choices}")
-    mode, raw, channels = ENCODINGS[message.encoding]
-    if len(data) < message.step * message.height or message.step < channels * message.width:
-        raise SceneError(f"an image of {message.width}x{message.height} has only {len(data)} bytes")
+    mode, raw = ENCODINGS[message.encoding]
     return _small("an image", Image.frombytes(mode, (message.width, message.height), data, "raw", raw, message.step, 1))
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:120]

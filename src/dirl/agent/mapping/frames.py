@@ -70,11 +70,6 @@ RIGHT = 4.2, 1.1, -7.5
 CERTAIN = 0.95
 """Least probability of an answer that is called certain."""
 
-DESCRIBED = [field.name for field in fields(Described)]
-
-STORED = ("times", "parts", "links", "costs", "places", "field_of_view", "kind", "size")
-"""Of a map, as they are."""
-
 Certainty = Literal["certain", "uncertain", "not here"]
 
 
@@ -142,7 +137,7 @@ class FrameMap:
 
     def path(self, start: int, goal: int) -> list[int]:
         """Frames from one to another; empty if nothing leads there."""
-        far, following = distances_to(self.graph, goal)
+        far, following = dijkstra(self.graph.T, indices=goal, return_predecessors=True)
         path = [start] if np.isfinite(far[start]) else []
         while path and path[-1] != goal:
             path.append(int(following[path[-1]]))
@@ -154,9 +149,8 @@ class FrameMap:
 
     def same_place(self, frame: int) -> NDArray[np.bool_]:
         """The frames that may show the same place as one does, ``[N]``: near in time, or to those that are linked."""
-        linked = [frame, *self.links[self.links[:, 0] == frame, 1], *self.links[self.links[:, 1] == frame, 0]]
         near = np.zeros(len(self), bool)
-        for one in linked:
+        for one in {frame, *self.links[(self.links == frame).any(1)].ravel().tolist()}:
             near |= (np.abs(self.times - self.times[one]) <= APART) & (self.parts == self.parts[one])
         return near
 
@@ -213,10 +207,10 @@ class FrameMap:
 
     def save(self, file: str | Path) -> None:
         """Write the map, as an ``.npz`` file."""
-        arrays: dict[str, Any] = {"schema": SCHEMA, "pictures": np.frombuffer(b"".join(self.pictures), np.uint8)}
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)} | self.described.arrays
+        arrays |= {"schema": SCHEMA, "pictures": np.frombuffer(b"".join(self.pictures), np.uint8)}
         arrays["lengths"] = [len(picture) for picture in self.pictures]
-        arrays |= dict(zip(DESCRIBED, self.described.arrays, strict=True))
-        arrays |= {name: getattr(self, name) for name in STORED if getattr(self, name) is not None}
+        arrays = {name: array for name, array in arrays.items() if array is not None and name != "described"}
         with atomic_path(Path(file)) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)
 
@@ -228,22 +222,18 @@ def load_frames_map(file: str | Path) -> FrameMap:
         MapError: there is none, or it is damaged.
     """
     try:
-        arrays = read_arrays(Path(file))
-        if int(arrays.get("schema", np.int64(1))) != SCHEMA:
+        arrays: dict[str, Any] = read_arrays(Path(file))
+        if int(arrays.pop("schema", np.int64(1))) != SCHEMA:
             raise MapError(f"{file}: is a map of another version; make it anew with dirl map")
         _check_arrays(arrays)
-        pictures, ends = arrays["pictures"].tobytes(), np.cumsum(arrays["lengths"])
-        stored: dict[str, Any] = {name: arrays.get(name) for name in STORED}
-        stored |= {"field_of_view": float(arrays["field_of_view"]), "kind": str(arrays["kind"])}
-        stored |= {"size": tuple(arrays["size"].tolist())}
-        graph = FrameMap(
-            pictures=[pictures[end - length : end] for end, length in zip(ends, arrays["lengths"], strict=True)],
-            described=Described(*(arrays[name] for name in DESCRIBED)),
-            **stored,
-        )
-        if ends[-1] != len(pictures) or graph.spacing < 1e-3:
-            raise ValueError("pictures or times")
-        _ = graph.scale
+        pictures = np.split(arrays.pop("pictures"), np.cumsum(arrays.pop("lengths"))[:-1])
+        arrays["pictures"] = [picture.tobytes() for picture in pictures]
+        arrays["described"] = Described(*(arrays.pop(field.name) for field in fields(Described)))
+        arrays["field_of_view"], arrays["kind"] = float(arrays["field_of_view"]), str(arrays["kind"])
+        arrays["size"] = tuple(arrays["size"].tolist())
+        graph = FrameMap(**arrays)
+        if graph.kind not in SCALES or graph.spacing < 1e-3:
+            raise ValueError(f"kind: {graph.kind}, times: {graph.spacing} s apart")
     except FileNotFoundError:
         raise MapError(f"{file}: there is no such map") from None
     except MapError:
@@ -263,7 +253,7 @@ def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
         "costs": ("f8", (len(arrays["links"]),), 0, 1e9),
         "places": ("f8", (count, 3), -1e9, 1e9),
         "lengths": ("i8", (count,), 1, 2**24),
-        "pictures": ("u1", (None,), 0, 255),
+        "pictures": ("u1", (int(arrays["lengths"].sum()),), 0, 255),
         "looks": ("f2", (count, None), -6e4, 6e4),
         "positions": ("f2", (count, points, 2), -6e4, 6e4),
         "vectors": ("i1", (count, points, None), -128, 127),
@@ -291,10 +281,9 @@ def check_memory(frames: int, every: float) -> None:
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     needed = BYTES * frames
     if needed > free:
-        enough = every * needed / free
         raise MapError(
-            f"{frames} frames need {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free: every={1.1 * enough:.2g} "
-            "or a shorter recording would do"
+            f"{frames} frames need {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free: "
+            f"every={1.1 * every * needed / free:.2g} or a shorter recording would do"
         )
 
 
@@ -317,42 +306,39 @@ def map_recordings(
     Raises:
         MapError: there are fewer than two frames, or they are of different shapes.
     """
-    grown = [bytearray() for _ in DESCRIBED]  # which grow in place, so that a long recording is held once
-    last: list[NDArray[Any]] = []
-    pictures: list[bytes] = []
-    times: list[float] = []
-    parts: list[int] = []
-    places: list[tuple[float, float, float] | None] = []
+    grown: dict[str, bytearray] = defaultdict(bytearray)  # in place, so that a long recording is held once
+    last: dict[str, NDArray[Any]] = {}
+    rows = []
     size = (0, 0)
     with tqdm(total=expected or None, desc="frames", unit="", disable=None if progress else True) as bar:
         for part, recording in enumerate(recordings):
             for image, time, place in recording:
                 if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
                     raise MapError(f"frames: expected RGB, uint8 [H, W, 3], not {image.dtype} {list(image.shape)}")
-                height, width = size = size if times else (image.shape[0], image.shape[1])
+                height, width = size = size if rows else (image.shape[0], image.shape[1])
                 if image.shape[:2] != size:
                     raise MapError(
                         f"recording {part + 1}: {image.shape[1]}x{image.shape[0]} pixels, not {width}x{height}"
                     )
                 last = matcher.describe([image]).arrays
-                for held, array in zip(grown, last, strict=True):
-                    held += array.tobytes()
+                for name, array in last.items():
+                    grown[name] += array.tobytes()
                 small = Image.fromarray(image)
                 small.thumbnail((PICTURE, PICTURE))
-                pictures.append(encode(np.asarray(small), quality=70, method=2))
-                times.append(time)
-                parts.append(part)
-                places.append(place)
+                rows.append((encode(np.asarray(small), quality=70, method=2), time, part, place))
                 bar.update()
-    if len(times) < 2:
-        raise MapError(f"the recording has {len(times)} frames to keep; at least two are needed")
+    if len(rows) < 2:
+        raise MapError(f"the recording has {len(rows)} frames to keep; at least two are needed")
+    pictures, times, parts, places = zip(*rows, strict=True)
     known = [place for place in places if place is not None]
-    shapes = [(len(times), *one.shape[1:]) for one in last]
+    described = {
+        name: np.ndarray((len(rows), *array.shape[1:]), array.dtype, grown[name]) for name, array in last.items()
+    }
     return FrameMap(
-        pictures,
-        np.array(times),
+        list(pictures),
+        np.array(times, float),
         np.array(parts),
-        Described(*(np.ndarray(shape, one.dtype, held) for shape, one, held in zip(shapes, last, grown, strict=True))),
+        Described(**described),
         np.zeros((0, 2), np.int64),
         field_of_view,
         matcher.kind,
@@ -483,12 +469,6 @@ class Course(NamedTuple):
 def _inside(parts: NDArray[np.int64], frame: int, step: int) -> bool:
     """Return True if a recording goes on for so many frames."""
     return 0 <= frame + step < len(parts) and bool(parts[frame + step] == parts[frame])
-
-
-def distances_to(graph: csr_array, goal: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the cost of the cheapest path to a frame, infinite if there is none, and the frame that follows."""
-    far, following = dijkstra(graph.T, indices=goal, return_predecessors=True)
-    return far, following
 
 
 def load_matcher(kind: str | None = None) -> FrameMatcher:

@@ -13,8 +13,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
+from scipy.sparse.csgraph import dijkstra
 
-from dirl.agent.mapping.frames import FrameMap, distances_to, load_matcher
+from dirl.agent.mapping.frames import FrameMap, load_matcher
 from dirl.agent.mapping.graph import MapError
 from dirl.perception.matching import Described, Fit, FrameMatcher, Motion
 
@@ -303,7 +304,7 @@ class Guide:
     def _plan(self) -> None:
         """Choose the goal's frame, and the paths to it."""
         self.goal = int(self._scores.argmax())
-        self._far, self._following = distances_to(self._links, self.goal)
+        self._far, self._following = dijkstra(self._links.T, indices=self.goal, return_predecessors=True)
         self._followed = []
         agreeing = float(self.matcher.fit(self._photo, self.graph.described, [self.goal]).score[0])
         self._arrived = max(self.graph.scale.recognised, ARRIVED * agreeing)
