@@ -368,13 +368,15 @@ from tqdm import tqdm
 from dirl.config.components import make
 from dirl.config.files import group_options, load_simulator
 from dirl.config.folders import command as command_of
-from dirl.perception.backbones import ViewEncoder, encode_all, load_encoder
+from dirl.perception.backbones import EncoderError, ViewEncoder, encode_all, load_encoder
+from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, toward
+from dirl.perception.matching import Matcher
 from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.io.checked import check_choice
-from dirl.scenes.io.write import export_icra17
+from dirl.scenes.io.write import MOST_WITH_DISTANCES, export_icra17
 from dirl.scenes.live import Simulator
 from dirl.scenes.views import decode, encoded_view
 from dirl.sources.miniworld import MiniWorld
@@ -386,8 +388,8 @@ from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.simulators import take_scene
 from dirl.sources.thor import Thor, start_controller
 from dirl.sources.tours import read_tour
-from dirl.sources.tours.images import cut_views
-from dirl.sources.tours.moves import tour_scene
+from dirl.sources.tours.images import Cube, Equirectangular, cut_views
+from dirl.sources.tours.moves import Converted, tour_scene
 from dirl.sources.vizdoom import VizDoom
 
 COLUMNS, KEY = 80, 13
@@ -465,7 +467,7 @@ def tour(options: TourOptions) -> None:
     size = (options.height, options.width)
     cutting = cut_views(images, list(made.yaws), size=size, field_of_view=options.field_of_view)
     views = list(tqdm(cutting, total=len(made.scene), desc="views", disable=None))
-    along = None
+    scene, along = made.scene, None
     if encoder is not None:
         shown = np.isfinite(made.arrows)
         arrows = [yaws[seen] for yaws, seen in zip(made.arrows, shown, strict=True)]
@@ -473,8 +475,23 @@ def tour(options: TourOptions) -> None:
         features, _ = encode_all(encoder, map(decode, cutting), int(shown.sum()), found.origin)
         along = np.zeros((len(made.scene), features.shape[1]), np.float16)
         along[shown.ravel()] = features
+        scene = replace(scene, toward=toward_goals(images, made))
     about = {"field_of_view": options.field_of_view, "positions": "layout" if made.layout else "given"}
-    write_encoded(out, made.scene, views, encoder, about, along)
+    write_encoded(out, scene, views, encoder, about, along)
+
+
+def toward_goals(images: list[Equirectangular | Cube], made: Converted) -> np.ndarray | None:
+    """Return how clearly each arrow of a tour leads to each state, see `Scene`; None where points cannot be matched."""
+    if len(made.scene) > MOST_WITH_DISTANCES:
+        return None
+    try:
+        matcher = Matcher()
+    except EncoderError as error:
+        print(f"- where arrows lead is not told by matched points: {error}")
+        return None
+    cutting = cut_views(images, list(made.yaws), size=(SIZE, SIZE), field_of_view=FIELD_OF_VIEW)
+    tables = toward(matcher, map(decode, cutting), made.yaws, made.arrows)
+    return np.concatenate(list(tqdm(tables, total=len(images), desc="where arrows lead", disable=None)), 1)
 
 
 def write_encoded(

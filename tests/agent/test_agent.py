@@ -84,7 +84,8 @@ def test_a_place_counts_once_however_long_the_agent_stays_there():
     generator = torch.Generator().manual_seed(0)
     shown = torch.ones(2, 4, 4, dtype=torch.bool)
     first, second = (
-        SimpleNamespace(pooled=torch.randn(2, 4, 8, generator=generator), arrows=shown, along=None) for _ in range(2)
+        SimpleNamespace(pooled=torch.randn(2, 4, 8, generator=generator), arrows=shown, along=None, toward=None)
+        for _ in range(2)
     )
     for place in (first, second):
         place.goal_pooled = torch.ones(2, 1, 8)
@@ -100,20 +101,37 @@ def test_a_place_counts_once_however_long_the_agent_stays_there():
 def test_in_a_world_each_arrow_is_judged_by_the_view_along_it():
     """Along the arrows that lead nearer the goal is seen; seen along those of other states it leads astray."""
     scene, goal = grid_scene(5, 5, feature_width=32), 0
-    ahead = scene.graph[:, 0]
-    nearer = (ahead >= 0) & (scene.distances[ahead, goal] < scene.distances[:, goal])
-    along = np.where(nearer[:, None], scene.features[goal], -scene.features[goal]).astype(np.float16)
-    policy = TensorDictModule(lambda state: torch.zeros(*state.shape, 4), in_keys=["state"], out_keys=["logits"])
-    spl = []
-    for views in (along, along[::-1]):
-        world = make_world([replace(scene, along=views)], {scene.name: [goal]})
-        protocol = EvaluationProtocol(
-            world=world,
-            observation=SurroundingViews(world),
-            starts=every_start(world),
-            memory=PlanningMemory(),
-            panorama=True,
-            arrows=True,
-        )
-        spl.append(metrics(protocol.run(policy))["spl"])
+    along = np.where(nearer(scene, goal)[:, None], scene.features[goal], -scene.features[goal]).astype(np.float16)
+    spl = [searched(replace(scene, along=views), goal) for views in (along, along[::-1])]
     assert spl[0] > 1.2 * spl[1]
+
+
+def test_in_a_world_the_arrow_that_clearly_leads_to_the_goal_is_followed():
+    """By the table of its four views, or of the photo that is given."""
+    scene, goal = grid_scene(5, 5, feature_width=32), 0
+    toward = np.zeros((2, len(scene), len(scene)), np.float16)
+    toward[0, :, goal] = nearer(scene, goal)
+    known, other = (replace(scene, toward=table) for table in (toward, toward[::-1]))
+    assert searched(known, goal) > 1.2 * searched(other, goal)
+    assert searched(other, goal, "front") > 1.2 * searched(known, goal, "front")
+
+
+def nearer(scene, goal):
+    """Of the moves ahead those which lead nearer."""
+    ahead = scene.graph[:, 0]
+    return (ahead >= 0) & (scene.distances[ahead, goal] < scene.distances[:, goal])
+
+
+def searched(scene, goal, goal_view="surrounding"):
+    """The SPL of agents that see arrows, with a policy that knows nothing."""
+    world = make_world([scene], {scene.name: [goal]})
+    protocol = EvaluationProtocol(
+        world=world,
+        observation=SurroundingViews(world, goal_view),
+        starts=every_start(world),
+        memory=PlanningMemory(),
+        panorama=True,
+        arrows=True,
+    )
+    policy = TensorDictModule(lambda state: torch.zeros(*state.shape, 4), in_keys=["state"], out_keys=["logits"])
+    return metrics(protocol.run(policy))["spl"]

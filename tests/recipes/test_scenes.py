@@ -2,6 +2,7 @@
 
 import shlex
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -121,6 +122,10 @@ def test_a_tour_becomes_a_dump(here, capsys):
     assert ((encoded.along != 0).any(1) == ahead).all()
     # In a grid each arrow lies along a heading, whose view is here as wide as that along the arrow.
     np.testing.assert_allclose(encoded.along[ahead], encoded.features[ahead], atol=0.05)
+    if find_spec("cv2") is None:
+        assert encoded.toward is None
+    else:
+        assert not encoded.toward.any(), "nothing is to be recognised in a scale of greys"
     refused("headings=6: must be a multiple of four", run, "tour path=hall out=new.h5 headings=6 encoder=null")
 
 

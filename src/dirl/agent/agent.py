@@ -59,6 +59,10 @@ class Observed(Protocol):
         """Pooled features of what is seen along the arrow of each view, ``[B, K, D]``; None = the views tell."""
 
     @property
+    def toward(self) -> Tensor | None:
+        """How clearly the arrow of each view leads to the goal, 0 to 1, ``[B, K]``; None = not told."""
+
+    @property
     def goal_pooled(self) -> Tensor:
         """Those of the goals' views, float32 ``[B, V, D]``: V is four, one of a photo, zero where goals are ignored."""
 
@@ -172,7 +176,7 @@ class Remembering(Agent):
         self.places = self.places + chosen
         count = self.places * views.shape[1] + goal.shape[1]
         mean = (self.total + goal.sum(1)) / count[:, None]
-        return arrow_costs(likeness(views, goal, mean, now.along), now.arrows)
+        return arrow_costs(likeness(views, goal, mean, now.along), now.arrows, now.toward)
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents."""
@@ -274,7 +278,7 @@ def likeness(views: Tensor, goal: Tensor, mean: Tensor, along: Tensor | None = N
     return (best + exact.amax(-1)) / 2
 
 
-def arrow_costs(along: Tensor, arrows: Tensor) -> Tensor:
+def arrow_costs(along: Tensor, arrows: Tensor, toward: Tensor | None = None) -> Tensor:
     """Return what agents that see arrows expect of trying each action facing each view, float32 ``[B, K, 4]``.
 
     What is not possible costs infinitely much: it is neither tried nor counted among what was not tried.
@@ -282,9 +286,12 @@ def arrow_costs(along: Tensor, arrows: Tensor) -> Tensor:
     Args:
         along: what is promised in the direction of each view, see `likeness`, float32 ``[B, K]``.
         arrows: which moves are possible facing each view, bool ``[B, K, 4]``.
+        toward: how clearly each arrow leads to the goal, ``[B, K]``; where there is no doubt likeness counts no more.
     """
     cost = along.new_ones(*along.shape, len(ACTIONS))
     further = SAVED * (1 - along)
+    if toward is not None:
+        further = further * (1 - toward)
     cost[..., AHEAD] += further
     cost[..., BACK] += further.roll(-along.shape[1] // 2, 1)  # along the view behind
     return cost.masked_fill(~arrows, math.inf)

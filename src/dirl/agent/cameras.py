@@ -215,6 +215,10 @@ class Views:
         """A camera looks at its headings alone."""
 
     @property
+    def toward(self) -> None:
+        """Likewise: no points are matched."""
+
+    @property
     def goal_pooled(self) -> Tensor:
         """Those of the goals, ``[B, 4, D]``, or of photos ``[B, 1, D]``."""
         views = 1 if self.goal.photo else VIEWS

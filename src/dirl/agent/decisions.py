@@ -213,6 +213,14 @@ class AgentBatch:
         return None if world.along is None else world.along[self.visit % len(world)]
 
     @property
+    def toward(self) -> Tensor | None:
+        """How clearly the arrows around the agents lead to the goals that are shown."""
+        world, photo = self.known.world, self.known.observation.goal_view == "front"
+        if world.toward is None or self.known.sweeps:
+            return None
+        return world.toward[int(photo), world.pair(self.shown[:, None] % len(world.goals), self.visit % len(world))]
+
+    @property
     def goal_pooled(self) -> Tensor:
         """Those of the goals that are shown."""
         world = self.known.world

@@ -60,6 +60,8 @@ class Scene:
         look_patches: likewise, float16 ``[K, N, cells, channels]``; there if both ``patches`` and looks are.
         along: features of what is seen along the arrow that a move ahead follows, float16 ``[N, D]``, zero where there
             is none; or None. An arrow of a tour may lie aside of the heading that shows it.
+        toward: how clearly that arrow leads to each state, 0 to 1, if the four views around it are known, or the one
+            ahead alone, float16 ``[2, N, N]``; or None. See `dirl.perception.bearings`.
 
     Raises:
         SceneError: an array has the wrong shape or type, or the first offending state of it is named.
@@ -79,6 +81,7 @@ class Scene:
     look_features: NDArray[np.floating] | None = None
     look_patches: NDArray[np.float16] | None = None
     along: NDArray[np.float16] | None = None
+    toward: NDArray[np.float16] | None = None
 
     def __post_init__(self) -> None:
         given = self._array("graph", self.graph, np.integer, (None, 4))
@@ -99,6 +102,8 @@ class Scene:
         if self.along is not None:
             width = 0 if self.features is None else self.features.shape[1]
             arrays["along"] = self._array("along_feature", self.along, np.float16, (states, width))
+        if self.toward is not None:
+            arrays["toward"] = self._array("toward", self.toward, np.float16, (2, states, states))
         arrays |= self._checked_looks()
         turned = np.where(graph[:, RIGHT] < 0, np.arange(states), graph[:, RIGHT])
         moved = np.flatnonzero((np.abs(positions[turned] - positions) > 1e-3).any(1))

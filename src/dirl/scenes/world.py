@@ -34,6 +34,9 @@ class World:
     """What each part of each view shows, float16 ``[L * N, cells, channels]``; None if a scene has none."""
     along: Tensor | None
     """What is seen along the arrow ahead of each state, float32 ``[N, D]``; None if a scene does not say."""
+    toward: Tensor | None
+    """How clearly that arrow leads to the goal, by its four views or the one ahead, float16 ``[2, P]``, see
+    ``distances``; None if a scene does not say."""
     scene_of: Tensor
     """The scene of each state, int64 ``[N]``."""
     turns: Tensor
@@ -245,14 +248,17 @@ def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:
     """Return the fields of a world that depend on its goals, by name."""
-    blocks, rows, pairs = [], [], 0
+    blocks, toward, rows, pairs = [], [], [], 0
     for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
+        if scene.toward is not None:
+            toward.append(scene.toward[:, :, states].swapaxes(1, 2).reshape(2, -1))
         blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())
         rows += [pairs + place * len(scene) - offset for place in range(len(states))]
         pairs += len(states) * len(scene)
     return {
         "goals": torch.tensor([g + offset for goal, offset in zip(chosen, offsets, strict=True) for g in goal]),
         "distances": torch.from_numpy(np.concatenate(blocks)),
+        "toward": torch.from_numpy(np.concatenate(toward, 1)) if len(toward) == len(scenes) else None,
         "row": torch.tensor(rows),
     }
 

@@ -45,6 +45,7 @@ DATASETS = (
     "look_feature",
     "look_patches",
     "along_feature",
+    "toward",
     "shortest_path_distance",
     "observation",
     "observation_webp",
@@ -255,16 +256,17 @@ def _short(value: object, show: Callable[[object], str] = repr) -> str:
 
 
 def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int], str]]:
-    """Where patches, features and patches of further looks, and features along arrows lie, as `Scene` names them.
+    """Where what is large lies: patches, features and patches of further looks, what tells where arrows lead.
 
-    Of each the first byte, the shape and the type. They are float16 and in one piece, so that those of many scenes can
-    be memory-mapped.
+    Named as in `Scene`. Of each the first byte, the shape and the type. They are float16 and in one piece, so that
+    those of many scenes can be memory-mapped.
     """
     stored: dict[str, tuple[str, tuple[int | None, ...]]] = {
         "patches": ("patches", (states, None, None)),
         "look_features": ("look_feature", (None, states, None)),
         "look_patches": ("look_patches", (None, states, None, None)),
         "along": ("along_feature", (states, None)),
+        "toward": ("toward", (2, states, states)),
     }
     found = {array: _locate(file, path, name, shape) for array, (name, shape) in stored.items() if name in file}
     if "look_patches" in found and "look_features" not in found:

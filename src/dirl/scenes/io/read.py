@@ -10,6 +10,7 @@
 | ``look_feature`` | float16 ``[K, N, D]`` | features of K further looks of each state (our files); contiguous |
 | ``look_patches`` | float16 ``[K, N, cells, channels]`` | their patches; contiguous |
 | ``along_feature`` | float16 ``[N, D]`` | features along each state's arrow (our tours); contiguous |
+| ``toward`` | float16 ``[2, N, N]`` | how clearly each arrow leads to each state, see `Scene` (our tours); contiguous |
 | ``shortest_path_distance`` | number ``[N, N]`` | ignored: distances are always recomputed |
 | ``observation`` | uint8 ``[N, H, W, 3]`` | raw views (published files) |
 | ``observation_webp`` | N byte strings | encoded views (our files): WebP, PNG or JPEG |

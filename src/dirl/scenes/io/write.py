@@ -65,6 +65,7 @@ def write_dump(
             "look_feature": scene.look_features,
             "look_patches": scene.look_patches,
             "along_feature": scene.along,
+            "toward": scene.toward,
         }
         for name, array in large.items():
             if array is not None:
