@@ -150,7 +150,7 @@ def _toward(one: tuple[Tensor, ...], other: tuple[Tensor, ...], arrows: Sequence
     first, second = torch.cat(here), torch.cat(there)
     agree = support(one[0][first], other[0][second], other[2][second], turns)
     quarter = turns // AROUND
-    around = sum(agree.roll(-turn * quarter, 2) for turn in range(AROUND))
+    around = torch.stack([agree.roll(-turn * quarter, 2) for turn in range(AROUND)]).sum(0)
     for arrow, of_arrow in enumerate(arrows):
         if np.isfinite(of_arrow):
             for table, count in enumerate((around, agree)):
