@@ -308,7 +308,7 @@ def map_recordings(
     """
     grown: dict[str, bytearray] = defaultdict(bytearray)  # in place, so that a long recording is held once
     last: dict[str, NDArray[Any]] = {}
-    rows = []
+    rows: list[tuple[bytes, float, int, tuple[float, float, float] | None]] = []
     size = (0, 0)
     with tqdm(total=expected or None, desc="frames", unit="", disable=None if progress else True) as bar:
         for part, recording in enumerate(recordings):
