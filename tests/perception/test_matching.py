@@ -45,6 +45,19 @@ def test_a_turn_by_more_than_a_view_shows_is_none(matcher, monkeypatch):
         assert (matcher.motion(views, views, 0, (180, 320), 65.0) is not None) == told
 
 
+@pytest.mark.parametrize(("turn", "stretch", "on_the_spot"), [(8, 0.04, True), (0.5, 0.04, False), (0.5, 0.01, True)])
+def test_who_does_not_turn_walks(matcher, monkeypatch, turn, stretch, on_the_spot):
+    """A few steps towards a wall stretch it as little as noise does; without a turn that tells walking."""
+    views = matcher.describe([look(6, 2.5, 0)])
+    cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
+    rotation = np.diag([1, 1, 1 + stretch]) @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
+    found = camera @ rotation @ np.linalg.inv(camera)
+    monkeypatch.setattr(matcher, "_fitted", lambda *_, **__: (found, 20))
+    monkeypatch.setattr(matcher._cv2, "decomposeEssentialMat", lambda _: (np.eye(3), np.eye(3), None))
+    assert matcher.motion(views, views, 0, (180, 320), 65.0).on_the_spot == on_the_spot
+
+
 def test_views_without_points_agree_on_nothing(matcher):
     views = matcher.describe([np.full((60, 80, 3), 90, np.uint8), look(6, 2.5, 0)])
     assert matcher.fit(views[:1], views, [1]).score == 0
