@@ -350,8 +350,9 @@ def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     chosen: Mapping[str, str | None] = {"recogniser": options.recogniser, "episodic_memory": options.episodic_memory}
     localises = not any(chosen.values()) and views_return(protocol.memory, protocol.world)
     # A simulator may show the same views again, unless the agent errs in its turns.
-    if localises and not options.turn_error and repeats(world, state_pose(scene, 0)):
-        chosen, config.stop.threshold = PLANS, options.threshold or RETURNED
+    plans = localises and not options.turn_error and repeats(world, state_pose(scene, 0))
+    if plans:
+        chosen = PLANS
     navigator = Navigator.load(
         options.checkpoint,
         encoder,
@@ -360,7 +361,7 @@ def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
         turns=turns,
         **chosen,
     )
-    navigator.threshold = config.stop.threshold
+    navigator.threshold = (options.threshold or RETURNED) if plans else config.stop.threshold
     navigator.encoder = Remembered(navigator.encoder)
     if options.starts is None:
         each = max(1, LIVE_EPISODES // len(protocol.world.goals))

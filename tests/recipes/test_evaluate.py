@@ -58,8 +58,8 @@ def test_where_views_return_an_agent_that_localises_plans_unless_something_is_as
     (*_, asked, _, read), changes = evaluate.loaded({"extractor": "random"}, options, {"seed": 1})
     assert read is world
     planning = {"episodic_memory": "planning", "recogniser": "ncc"}
-    planning = {name: group_options(name, option) for name, option in planning.items()} if plans else {}
-    assert changes == asked == {"seed": 1, **planning}
+    planning = {name: group_options(name, option) for name, option in planning.items()} | {"stop.threshold": 0.98}
+    assert changes == asked == {"seed": 1, **(planning if plans else {})}
 
 
 @pytest.mark.parametrize(
