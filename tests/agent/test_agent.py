@@ -107,13 +107,15 @@ def test_in_a_world_each_arrow_is_judged_by_the_view_along_it():
 
 
 def test_in_a_world_the_arrow_that_clearly_leads_to_the_goal_is_followed():
-    """By the table of its four views, or of the photo that is given."""
-    scene, goal = grid_scene(5, 5, feature_width=32), 0
+    """By the table of its four views, or of the photo that is given; the sweep, which ignores goals, reads neither."""
+    scene, goals = grid_scene(5, 5, feature_width=32), (0, 42)
     toward = np.zeros((2, len(scene), len(scene)), np.float16)
-    toward[0, :, goal] = nearer(scene, goal)
+    for goal in goals:
+        toward[0, :, goal] = nearer(scene, goal)
     known, other = (replace(scene, toward=table) for table in (toward, toward[::-1]))
-    assert searched(known, goal) > 1.2 * searched(other, goal)
-    assert searched(other, goal, "front") > 1.2 * searched(known, goal, "front")
+    assert searched(known, *goals) > 1.2 * searched(other, *goals)
+    assert searched(other, *goals, goal_view="front") > 1.2 * searched(known, *goals, goal_view="front")
+    assert searched(known, *goals, sweeps=True) == searched(scene, *goals, sweeps=True)
 
 
 def nearer(scene, goal):
@@ -122,9 +124,9 @@ def nearer(scene, goal):
     return (ahead >= 0) & (scene.distances[ahead, goal] < scene.distances[:, goal])
 
 
-def searched(scene, goal, goal_view="surrounding"):
+def searched(scene, *goals, goal_view="surrounding", sweeps=False):
     """The SPL of agents that see arrows, with a policy that knows nothing."""
-    world = make_world([scene], {scene.name: [goal]})
+    world = make_world([scene], {scene.name: goals})
     protocol = EvaluationProtocol(
         world=world,
         observation=SurroundingViews(world, goal_view),
@@ -134,4 +136,4 @@ def searched(scene, goal, goal_view="surrounding"):
         arrows=True,
     )
     policy = TensorDictModule(lambda state: torch.zeros(*state.shape, 4), in_keys=["state"], out_keys=["logits"])
-    return metrics(protocol.run(policy))["spl"]
+    return metrics(protocol.run_sweep() if sweeps else protocol.run(policy))["spl"]

@@ -19,7 +19,7 @@ class Points:
     def describe(self, views):
         assert len(list(views)) == YAWS.size
         rng = np.random.default_rng(0)
-        points = rng.uniform((-5, -5, -1.5), (5, 5, 1.5), (600, 3))
+        points = rng.uniform((-5, 1.5, -1.5), (5, 5, 1.5), (600, 3))  # none behind, so that one photo is of nothing
         vectors = rng.normal(size=(2, 600, 64))
         vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
         focal = SIZE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
@@ -59,7 +59,7 @@ def test_the_arrow_to_another_panorama_is_clear_and_no_other(table):
 def test_a_photo_tells_less_than_four_views(table):
     photo = table[1, 0, 0, 1].astype(float)
     assert photo.max() > 0.5
-    assert photo.mean() < table[0, 0, 0, 1].mean()
+    assert photo.min() == 0
 
 
 def test_where_nothing_is_shared_nothing_is_told(table):
