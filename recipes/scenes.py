@@ -483,6 +483,7 @@ def tour(options: TourOptions) -> None:
 def toward_goals(images: list[Equirectangular | Cube], made: Converted) -> np.ndarray | None:
     """Return how clearly each arrow of a tour leads to each state, see `Scene`; None where points cannot be matched."""
     if len(made.scene) > MOST_WITH_DISTANCES:
+        print(f"- where arrows lead is not told by matched points: these are more than {MOST_WITH_DISTANCES} states")
         return None
     try:
         matcher = Matcher()

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dirl.perception.matching import Described, Matcher
+from dirl.perception.matching import Described, Matcher, mutual
 
 SIZE, FIELD_OF_VIEW = 384, 75.0
 """Pixels a side and degrees of the views whose points are matched."""
@@ -139,11 +139,9 @@ def _toward(one: tuple[Tensor, ...], other: tuple[Tensor, ...], arrows: Sequence
     for view in range(turns):
         points = torch.nonzero(other[2] == view)[:, 0]
         if len(points) and len(alike):
-            partner = alike[:, points].argmax(0)
-            best = alike[:, points].argmax(1)
-            mutual = (best[partner] == torch.arange(len(points))) & (alike[partner, points] > ALIKE)
-            here.append(partner[mutual])
-            there.append(points[mutual])
+            first, second = mutual(alike[:, points], ALIKE)
+            here.append(first)
+            there.append(points[second])
     made = torch.zeros(2, turns, turns)
     if not here:
         return made

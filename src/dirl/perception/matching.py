@@ -241,12 +241,12 @@ class Matcher:
         if not len(here[0]) or not len(there[0]):
             return here[0][:0], there[0][:0]
         alike = here[1] @ there[1].T
-        best, partner = alike.max(1)
-        mutual = (alike.argmax(0)[partner] == torch.arange(len(partner))) & (best > LIKE)
+        first, second = mutual(alike, LIKE)
         if self.kind == "sift":
-            second = alike.scatter(1, partner[:, None], -1).amax(1)
-            mutual &= 1 - best < RATIO**2 * (1 - second)
-        return here[0][mutual.numpy()], there[0][partner[mutual].numpy()]
+            others = alike[first].scatter(1, second[:, None], -1).amax(1)
+            clear = 1 - alike[first, second] < RATIO**2 * (1 - others)
+            first, second = first[clear], second[clear]
+        return here[0][first.numpy()], there[0][second.numpy()]
 
     def agreeing(self, matches: Matches) -> float:
         """How many matches agree on the geometry of two views, and on that of a camera that only turned; their mean."""
@@ -313,6 +313,13 @@ class Matcher:
 def _heading(rotation: NDArray[np.float64]) -> float:
     """Degrees to the left of a rotation of the camera."""
     return float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2])))
+
+
+def mutual(alike: Tensor, least: float) -> tuple[Tensor, Tensor]:
+    """Return which points of two sets are each other's best match, by their cosines ``[P, Q]``; int64 ``[M]`` each."""
+    best, partner = alike.max(1)
+    first = torch.nonzero((alike.argmax(0)[partner] == torch.arange(len(partner))) & (best > least))[:, 0]
+    return first, partner[first]
 
 
 def _xfeat() -> PointFinder:
