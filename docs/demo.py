@@ -385,9 +385,7 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     """The page of a place with the agent's episodes there; its features and what else the browser needs are written."""
     from dirl.config.files import goal_view_options, group_options
     from dirl.perception.backbones import encode_scene, load_encoder
-    from dirl.perception.recognition.build import matching
-    from dirl.perception.recognition.recogniser import NCC
-    from dirl.perception.recognition.tables import described_visits
+    from dirl.perception.recognition.recogniser import NCC, described_visits, matching
     from dirl.reporting import viewer_pages
     from dirl.runs.checkpoints import load_checkpoint, packaged_agent
     from dirl.scenes import load_scenes

@@ -47,12 +47,12 @@ from train import reinforce, train
 
 from dirl.cli.parsing import compose_training
 from dirl.config.components import check_components
-from dirl.config.values import typed
+from dirl.config.files import typed
 from dirl.experiments.other_loops import stock_torchrl
 from dirl.experiments.results import Table
 from dirl.models import caching
 from dirl.runs.folder import Run, peak_memory_mb
-from dirl.scenes.io.atomic import write_json
+from dirl.scenes.io.files import write_json
 from dirl.training.build import build_world
 from dirl.training.job import Components, build_components
 from dirl.training.loops import TrainState
@@ -163,7 +163,7 @@ def rollout(config: TrainConfig, updates: int) -> float:
     operator, agents, frames = components.policy.operator(), state.agents, 0
     began = time.perf_counter()
     for _ in range(updates):
-        with caching(components.policy):
+        with caching(components.policy, learns=True):
             batch, agents = collect(state.env, operator, agents, config.reinforcement.n_steps)
         frames += batch.numel()
     return frames / (time.perf_counter() - began)

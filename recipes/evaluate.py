@@ -127,15 +127,14 @@ from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.backbones.registry import packaged_encoder
-from dirl.perception.recognition.build import build_recogniser, matching
-from dirl.perception.recognition.recogniser import NCC
+from dirl.perception.recognition.recogniser import NCC, build_recogniser, matching
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
-from dirl.scenes import World
 from dirl.scenes.graph import turns_per_circle
-from dirl.scenes.io.atomic import write_json, write_text
+from dirl.scenes.io.files import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, repeats, shortest_move, state_pose
+from dirl.scenes.world import World
 from dirl.training.build import Trained, build_world, describe, load_trained, saved_config
 
 MOST_EPISODES = 20_000

@@ -34,12 +34,12 @@ import numpy as np
 
 from dirl.agent.mapping.frames import Found, FrameMap, load_frames_map, load_matcher
 from dirl.agent.mapping.moves import Move, moves_along
+from dirl.config.files import names
 from dirl.config.schemas import ConfigError
-from dirl.config.values import names
 from dirl.perception.matching import FrameMatcher
 from dirl.reporting.strips import draw_strip
 from dirl.reporting.walks import write_mcap, write_page
-from dirl.scenes.io.atomic import write_json
+from dirl.scenes.io.files import write_json
 from dirl.sources.video import Recording, read_photo
 
 SHOWN = 16

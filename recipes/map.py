@@ -41,8 +41,8 @@ if __name__ == "__main__":
 from pathlib import Path
 
 from dirl.agent.mapping.frames import check_memory, find_links, load_matcher, map_recordings
+from dirl.config.files import names
 from dirl.config.schemas import ConfigError
-from dirl.config.values import names
 from dirl.reporting.walks import write_page, write_route
 from dirl.sources.video import Recording
 

@@ -371,11 +371,11 @@ from dirl.config.folders import command as command_of
 from dirl.perception.backbones import EncoderError, ViewEncoder, encode_all, load_encoder
 from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, toward
 from dirl.perception.matching import Matcher
-from dirl.perception.recognition.build import chosen_stop
 from dirl.perception.recognition.diagnostics import inspect_scene
+from dirl.perception.recognition.recogniser import chosen_stop
 from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
-from dirl.scenes.io.checked import check_choice
+from dirl.scenes.io.files import check_choice
 from dirl.scenes.io.write import MOST_WITH_DISTANCES, export_icra17
 from dirl.scenes.live import Simulator
 from dirl.scenes.views import decode, encoded_view

@@ -83,14 +83,15 @@ def imitate(runs: Sequence[Run], policy: ActorCritic | Stack, demos: Sequence[De
     with imitation_steps(runs, policy, demos, done) as steps:
 
         def step() -> Tensor:
-            with caching(policy), noisy(policy, noise):
+            with caching(policy, learns=True), noisy(policy, noise):
                 result = compare()  # the policy with the expert, on a batch of demonstrations: equations 11 and 12
             steps.optimiser.zero_grad()
             result["loss_imitation"].sum().backward()
             steps.optimiser.step()
             return torch.stack([result["loss_imitation"], result["accuracy"]]).detach()
 
-        update = steps.prepared(step)  # of a stack on a GPU one CUDA graph
+        # Of a stack on a GPU one CUDA graph.
+        update = policy.prepared(step) if isinstance(policy, Stack) else step
         while steps.goes_on:
             set_learning_rate(steps.optimiser, steps.lr)
             steps.record(update())
@@ -116,7 +117,7 @@ def learn(state: TrainState | Stack, loop: Updates) -> None:
     by_agent = bool(state.losses.recurrent)  # a memory needs the steps of an agent together and in order
 
     def step() -> Report:
-        with caching(policy):
+        with caching(policy, learns=True):
             batch, agents = collect(state.env, operator, state.agents, options.n_steps)
             state.agents.update_(agents)
             batch = state.losses.rewarded(batch)  # the environment's reward, unless a loss defines one
@@ -134,7 +135,7 @@ def learn(state: TrainState | Stack, loop: Updates) -> None:
                 optimiser.step()
         return report(state.env, batch, losses.set("gradient_norm", norm).detach())
 
-    update = state.prepared(step)  # of a stack on a GPU one CUDA graph
+    update = state.prepared(step) if isinstance(state, Stack) else step  # of a stack on a GPU one CUDA graph
     while loop.goes_on:
         set_learning_rate(optimiser, optimiser.defaults["lr"] * state.left)  # falls linearly to 0
         loop.record(update())

@@ -31,7 +31,7 @@ import torch  # noqa: E402
 import train as recipe  # noqa: E402
 
 from dirl.cli.parsing import compose_training  # noqa: E402
-from dirl.config.values import typed  # noqa: E402
+from dirl.config.files import typed  # noqa: E402
 from dirl.evaluation.protocol import metrics  # noqa: E402
 from dirl.models import plain_weights  # noqa: E402
 from dirl.runs.checkpoints import load_checkpoint  # noqa: E402

@@ -20,10 +20,9 @@ from dirl.config.schemas import ConfigError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import shortest_episodes
 from dirl.evaluation.protocol import metrics, report
-from dirl.models import frozen
+from dirl.models import caching
 from dirl.perception.backbones import load_encoder
-from dirl.perception.recognition.build import checked
-from dirl.perception.recognition.tables import VisitScores
+from dirl.perception.recognition.recogniser import VisitScores, checked
 from dirl.reporting.tables import result_table
 from dirl.scenes import SceneError, load_scenes, make_world
 from dirl.scenes.live import Pose
@@ -100,7 +99,7 @@ def test_an_observation_of_ones_own_is_learnt_from_and_cached_to_the_same_result
         train(config, state, total=400)
         ids = ids if ids is not None else collect(state.env, state.policy.operator(), state.agents, 9)[0]
         answers.append(state.policy(ids.select(*state.policy.in_keys).clone())["logits"])
-        with frozen(state.policy):
+        with caching(state.policy, learns=False):
             answers.append(state.policy(ids.select(*state.policy.in_keys).clone())["logits"])
     for answer in answers[1:]:
         torch.testing.assert_close(answer, answers[0], atol=1e-4, rtol=1e-4)
@@ -245,7 +244,7 @@ def test_scenes_come_from_a_source_of_ones_own(tmp_path):
     assert world.names == ("hall_4x3", "hall_2x2")
     assert [len(scene) for scene in world.scenes] == [48, 16]
     assert world.features.shape == (64, 16)
-    assert world.source == "halls"
+    assert world.scenes[0].source == "halls"
     mixed = build_world(train_config(f"scene=[{room_file(tmp_path)}]", *HALLS))  # a file needs no source
     assert len(mixed.scenes[0]) == 24
 

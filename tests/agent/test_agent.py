@@ -11,6 +11,7 @@ from dirl.agent.agent import Planning, Remembering, arrow_costs, likeness
 from dirl.agent.cameras import compare
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import EvaluationProtocol, every_start
+from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import metrics
 from dirl.models import PlanningMemory
 from dirl.perception.recognition.recogniser import NCC
@@ -136,4 +137,4 @@ def searched(scene, *goals, goal_view="surrounding", sweeps=False):
         arrows=True,
     )
     policy = TensorDictModule(lambda state: torch.zeros(*state.shape, 4), in_keys=["state"], out_keys=["logits"])
-    return metrics(protocol.run_sweep() if sweeps else protocol.run(policy))["spl"]
+    return metrics(protocol.run(RandomPolicy() if sweeps else policy))["spl"]

@@ -24,8 +24,7 @@ from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
 from dirl.perception.recognition import NCC, Learned, Thresholds
-from dirl.perception.recognition.matching import TemplateStop
-from dirl.perception.recognition.tables import VisitScores
+from dirl.perception.recognition.recogniser import TemplateStop, VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes import Action, make_world
 

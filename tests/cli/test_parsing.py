@@ -8,9 +8,9 @@ from options import SCHEMAS
 from refusals import refused
 
 from dirl.cli.parsing import compose_training, parse, prepare
+from dirl.config.files import typed
 from dirl.config.options import Bounds, meanings, option, option_types
 from dirl.config.schemas import Device
-from dirl.config.values import typed
 
 
 @dataclass

@@ -7,9 +7,9 @@ import pytest
 import torch
 from refusals import refused
 
+from dirl.config.components import check_value
 from dirl.config.options import Bounds
 from dirl.config.schemas import Device
-from dirl.config.values import check_value
 
 Count = Annotated[int, Bounds(0, 9)]
 

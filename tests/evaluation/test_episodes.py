@@ -193,4 +193,4 @@ def test_a_sweep_ignores_the_goal_that_it_is_shown(world):
     )
     _, (one, other) = protocol.trajectories(RandomPolicy(), starts)
     assert one[:3] == other[:3]
-    assert protocol.run_sweep().success.all()
+    assert protocol.run(RandomPolicy()).success.all()

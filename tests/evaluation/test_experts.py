@@ -10,7 +10,6 @@ from dirl.evaluation.experts import (
     demonstrations,
     label,
     merge_demonstrations,
-    optimal_actions,
     shown_states,
 )
 
@@ -30,7 +29,8 @@ def test_optimal_actions_are_all_that_come_nearer_and_the_expert_takes_the_first
     goal_index, state = (part[world.distances > 0] for part in world.pairs())
     after = world.distance(goal_index.unsqueeze(1), world.graph[state])
     nearer = after < world.distance(goal_index, state).unsqueeze(1)
-    assert torch.equal(optimal_actions(world, goal_index, state), nearer)
+    asked = TensorDict({"state": state, "goal": world.goals[goal_index]}, [len(state)])
+    assert torch.equal(ShortestPathExpert(world)(asked)["optimal_actions"], nearer)
     assert torch.equal(expert_action(world, goal_index, state), nearer.int().argmax(1))
 
 

@@ -35,8 +35,9 @@ def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
     episodes(meter, 0, 50, 10)
     episodes(meter, 0, 10, WINDOW)
     episodes(meter, 1, 30, 1)
-    assert (meter.atl, meter.worst_atl, meter.episodes) == (20.0, 30.0, WINDOW + 11)
-    assert (meter.success_rate(31), meter.success_rate(30), meter.success_rate(10)) == (1.0, 0.5, 0.0)
+    assert (meter.atl, meter.episodes) == (20.0, WINDOW + 11)
+    assert meter.measures(31) == {"atl": 20.0, "atl_worst_goal": 30.0, "episodes": WINDOW + 11, "sr": 1.0}
+    assert (meter.measures(30)["sr"], meter.measures(10)["sr"]) == (0.5, 0.0)
 
 
 def test_stable_needs_enough_short_episodes_of_every_goal_and_is_lost_again():

@@ -32,7 +32,7 @@ from dirl.agent.mapping.frames import FrameMap, load_frames_map
 from dirl.perception.matching import Described
 from dirl.reporting.strips import draw_strip
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.scenes.io.bounded import read_tensors
+from dirl.scenes.io.files import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.rooms import read_description
 from dirl.sources.tours import read_tour

@@ -24,7 +24,7 @@ from damage import WAYS
 from rooms import grid_scene, published_dump
 
 from dirl.scenes import SceneError, read_dump, write_dump
-from dirl.scenes.io import isolation
+from dirl.scenes.io import read as isolation
 from dirl.scenes.views import encode
 
 CPU_SECONDS, MEMORY = 1.0, 8 * 2**30

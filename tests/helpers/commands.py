@@ -9,7 +9,7 @@ from forks import ROOT as ROOT
 from rooms import grid_scene
 
 from dirl.cli.parsing import compose_training, parsed
-from dirl.config.values import typed
+from dirl.config.files import typed
 from dirl.scenes import write_dump
 
 TINY = [

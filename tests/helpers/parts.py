@@ -74,7 +74,9 @@ class Loop:
     def record(self, report, paused=None):
         (update,) = report.read()
         with paused or nullcontext():
-            self.state.count(update, 1.0)
+            self.state.frames += update.frames
+            self.state.seconds += 1.0
+            self.state.meter.add(update.goal_index, update.steps, self.state.frames)
         self.state.left.fill_(1 - self.state.frames / self.total)
         self.told.append(update.values)
         if self.enough(self.state):

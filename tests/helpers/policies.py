@@ -10,10 +10,10 @@ RIGHT, BACK = 1, 3
 COUNTED = ("success", "steps", "false_stop", "missed_stop")
 
 
-def run_episodes(policy, world, starts, *, observation, greedy=True, watch=None, **conditions):
+def run_episodes(policy, world, starts, *, observation, greedy=True, passed=None, **conditions):
     """Episodes under the conditions of an `EvaluationProtocol`."""
     protocol = episodes.EvaluationProtocol(world, observation, starts, **conditions)
-    return episodes.run_episodes(policy, protocol, greedy=greedy, watch=watch)
+    return protocol.run(policy, greedy=greedy, passed=passed)
 
 
 def expert(world, sureness=100.0):

@@ -10,8 +10,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import metrics
 from dirl.models import LocalisingMemory
-from dirl.perception.recognition.matching import TemplateStop
-from dirl.perception.recognition.tables import VisitScores
+from dirl.perception.recognition.recogniser import TemplateStop, VisitScores
 from dirl.scenes import make_world
 
 AHEAD, RIGHT, LEFT, BACK = range(4)

@@ -21,8 +21,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.perception.recognition.build import matching
-from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.recogniser import TemplateStop, matching
 from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import World, load_scenes, make_world, write_dump

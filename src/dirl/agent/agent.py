@@ -105,9 +105,19 @@ class Agent:
     def act(
         self, now: Observed, generator: torch.Generator | None = None, *, greedy: bool = True
     ) -> tuple[Tensor, Tensor]:
-        """The actions of the agents that did not stop, int64 ``[B]``, and the logits behind them, ``[B, 4]``."""
+        """The actions of the agents that did not stop, int64 ``[B]``, and the logits behind them, ``[B, 4]``.
+
+        An action is the most probable one, of equal ones the first, or sampled by its probability.
+        """
         logits = self.logits(now)
-        self.action = choose(logits, generator, greedy=greedy)
+        if greedy:
+            self.action = logits.argmax(-1)
+        elif len(logits) <= MANY:
+            self.action = torch.multinomial(logits.softmax(-1), 1, generator=generator).squeeze(-1)
+        else:
+            drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
+            # The last bound is 1 up to rounding, and must not let a number beyond it.
+            self.action = (drawn >= logits.softmax(-1).cumsum(-1)[:, :-1]).sum(-1)
         if self.guide is not None:
             led = self.guide.advise(four_of(now.visit)[0])
             self.guide.action = int(self.action) if led is None else led
@@ -300,15 +310,3 @@ def arrow_costs(along: Tensor, arrows: Tensor, toward: Tensor | None = None) -> 
 def four_of(views: Tensor) -> Tensor:
     """Of K views ``[B, K, ...]`` those ahead, right, back and left, ``[B, 4, ...]``."""
     return views[:, :: views.shape[1] // VIEWS]
-
-
-def choose(logits: Tensor, generator: torch.Generator | None, *, greedy: bool) -> Tensor:
-    """The most probable action, or one sampled by its probability, of logits ``[B, 4]``; int64 ``[B]``."""
-    if greedy:
-        return logits.argmax(-1)
-    probabilities = logits.softmax(-1)
-    if len(logits) <= MANY:
-        return torch.multinomial(probabilities, 1, generator=generator).squeeze(-1)
-    drawn = torch.rand((len(logits), 1), generator=generator, device=logits.device)
-    # The last bound is 1 up to rounding, and must not let a number beyond it.
-    return (drawn >= probabilities.cumsum(-1)[:, :-1]).sum(-1)

@@ -11,8 +11,7 @@ from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 from dirl.agent.agent import NEVER, four_of
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
-from dirl.perception.recognition.matching import FRONT_THRESHOLD, ncc
-from dirl.perception.recognition.recogniser import ComparesPanoramas, Recogniser, panorama_odds
+from dirl.perception.recognition.recogniser import FRONT_THRESHOLD, ComparesPanoramas, Recogniser, ncc, panorama_odds
 from dirl.scenes import ACTIONS, Action
 
 
@@ -89,7 +88,7 @@ class FeaturePolicy(nn.Module):
     def matching(self, features: Tensor, goal_features: Tensor) -> Tensor:
         """The matching coefficient ``[B]``: of all views if the goal's are known, else of one; see `forward`."""
         whole = (goal_features[:, 1:] != 0).any(-1).any(1)
-        # As in dirl.perception.recognition.matching, the pooled features are matched as the backbone gave them.
+        # As in dirl.perception.recognition.recogniser, the pooled features are matched as the backbone gave them.
         pooled = len(self.table.mean)
         features, goal_features = features[..., :pooled], goal_features[..., :pooled]
         front = ncc(features[:, self.front or 0], goal_features[:, self.front or 0])

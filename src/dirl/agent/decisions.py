@@ -12,10 +12,9 @@ from torch import Tensor, nn
 from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
-from dirl.models import frozen, initial_state, recurrent_keys
+from dirl.models import caching, initial_state, recurrent_keys
 from dirl.models.distinct import EmbeddingCache, Keys, packable
-from dirl.perception.recognition.matching import StopRule
-from dirl.perception.recognition.tables import VisitScores
+from dirl.perception.recognition.recogniser import StopRule, VisitScores
 from dirl.scenes import ACTIONS
 from dirl.scenes.world import World
 
@@ -54,17 +53,17 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
 
 def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:
     keys, goals = Keys(observation.pictures + 1, len(observation.order)), len(world.goals) * world.looks
-    seen, answered = EmbeddingCache(), EmbeddingCache()
+    seen = EmbeddingCache(keys.unpack)
+
+    def answer(cases: Tensor) -> Tensor:
+        goal, views = cases % goals, seen.rows[cases // goals]
+        logits: Tensor = policy(observe(world, observation, views[:, -1], views, goal))["logits"]
+        return logits
+
+    answered = EmbeddingCache(answer)
 
     def decide(episode: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        row = seen.places(keys.pack(view_ids), keys.unpack)
-
-        def answer(cases: Tensor) -> Tensor:
-            goal, views = cases % goals, seen.rows[cases // goals]
-            logits: Tensor = policy(observe(world, observation, views[:, -1], views, goal))["logits"]
-            return logits
-
-        place = answered.places(row * goals + wanted, answer)
+        place = answered.places(seen.places(keys.pack(view_ids)) * goals + wanted)
         return answered.rows[place]
 
     return decide
@@ -119,7 +118,7 @@ def answers(
         goals, states = world.block(goals, goal_index), world.block(states, goal_index)
     logits = torch.zeros((len(goals), len(ACTIONS)), device=world.device)
     values = torch.zeros(len(goals), device=world.device)
-    with frozen(policy):
+    with caching(policy, learns=False):
         for first in range(0, len(goals), PAIRS_AT_ONCE):
             place = slice(first, first + PAIRS_AT_ONCE)
             state = states[place]
@@ -145,8 +144,6 @@ class WorldTables:
     """True where agents stop; with a `LocalisingMemory` the log odds, a `ScoreFunction`."""
     scores: VisitScores | None = None
     """By which a memory knows places."""
-    shown: Tensor | None = None
-    """The goal that is shown to the policy in the place of each, int64 ``[G]``."""
     around: Tensor | None = None
     """The states that are seen from each, clockwise, int64 ``[N, K]``; None = `World.surrounding`."""
     possible: Tensor | None = None
@@ -163,6 +160,8 @@ class AgentBatch:
     episode: Tensor
     wanted: Tensor
     """Their goals, see `Decide`."""
+    shown: Tensor
+    """The goals that the policy is shown: others in a control."""
     state: Tensor
     """Where they are."""
     ahead: Tensor
@@ -170,14 +169,9 @@ class AgentBatch:
     view_ids: Tensor
     """What the policy observes, ``[W, 4]``."""
 
-    def after(self, state: Tensor, ahead: Tensor) -> "AgentBatch":
-        """The agents in their next states, with what they see ahead there."""
-        view_ids = self.known.observation.step_view_ids(self.view_ids, ahead)
-        return AgentBatch(self.known, self.episode, self.wanted, state, ahead, view_ids)
-
     def select(self, chosen: Tensor) -> "AgentBatch":
         """Some of the agents, by index."""
-        rows = (self.episode, self.wanted, self.state, self.ahead, self.view_ids)
+        rows = (self.episode, self.wanted, self.shown, self.state, self.ahead, self.view_ids)
         return AgentBatch(self.known, *(row.index_select(0, chosen) for row in rows))
 
     @cached_property
@@ -186,14 +180,6 @@ class AgentBatch:
         around = self.known.world.surrounding if self.known.around is None else self.known.around
         state = self.ahead % len(self.known.world)
         return around[state] + (self.ahead - state).unsqueeze(-1)
-
-    @cached_property
-    def shown(self) -> Tensor:
-        """The goals that the policy is shown: others in a control, in the same look."""
-        if self.known.shown is None:
-            return self.wanted
-        goals = len(self.known.shown)
-        return self.known.shown[self.wanted % goals] + self.wanted // goals * goals
 
     @property
     def arrows(self) -> Tensor | None:

@@ -13,8 +13,7 @@ from dirl.agent.mapping import ImageGraph, PlaceMap, load_graph, save_graph
 from dirl.agent.mapping.panoramas import VIEWS
 from dirl.agent.mapping.places import ParticleMapper
 from dirl.models import LocalisingMemory
-from dirl.perception.recognition.build import recogniser_name
-from dirl.perception.recognition.recogniser import NCC, Recogniser, normal_vectors
+from dirl.perception.recognition.recogniser import NCC, Recogniser, normal_vectors, recogniser_name
 from dirl.scenes.graph import LEFT, RIGHT
 
 QUARTERS = 4

@@ -20,8 +20,8 @@ from dirl.models.build import build_policy, check_extractor, load_weights, reads
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.registry import BATCH, LITE, packaged_encoder
-from dirl.perception.recognition.build import build_recogniser, set_memory_threshold
 from dirl.perception.recognition.learned import Learned
+from dirl.perception.recognition.recogniser import build_recogniser, set_memory_threshold
 
 Encoder = Callable[[Tensor], Any]
 """RGB images, uint8 ``[N, H, W, 3]`` on the navigator's device, to features ``[N, D]``, torch or numpy."""

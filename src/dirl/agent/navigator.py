@@ -73,7 +73,7 @@ class Navigator:
         encoder: images to features, see `Encoder`.
         view_order: the names of the four views; the last name of a history is ``now``.
         threshold: stop above this matching coefficient. For a policy that matches four views, a goal given as one
-            photo needs at least `dirl.perception.recognition.matching.FRONT_THRESHOLD`.
+            photo needs at least `dirl.perception.recognition.recogniser.FRONT_THRESHOLD`.
         facts: ``scene`` and ``extractor``, written to the metadata of exported files.
         memory: of what was done in an episode, or None.
         recogniser: by which the goal and known places are recognised; correlation if left out.

@@ -12,7 +12,7 @@ from dirl.agent.images import NavigatorError
 from dirl.agent.navigator import Navigator
 from dirl.envs.transforms import VIEWS
 from dirl.models import initial_state
-from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.files import atomic_path
 
 
 def export_onnx(navigator: Navigator, file: str | Path, opset: int | None = None) -> None:

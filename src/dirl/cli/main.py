@@ -50,7 +50,7 @@ def main() -> None:
     elif name in RECIPES:
         run(name, arguments)
     else:
-        from dirl.config.values import check_choice
+        from dirl.config.components import check_choice
         from dirl.runs.errors import one_line_exits
 
         with one_line_exits():

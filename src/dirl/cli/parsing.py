@@ -16,11 +16,11 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.components import GROUPS
+from dirl.config.components import GROUPS, check_choice
+from dirl.config.files import typed
 from dirl.config.folders import CONF
 from dirl.config.options import meanings, option_types
 from dirl.config.schemas import ConfigError, Schedule, TrainConfig, Weight
-from dirl.config.values import check_choice, typed
 
 T = TypeVar("T")
 

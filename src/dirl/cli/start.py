@@ -46,7 +46,7 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
     setattr(argparse._ActionsContainer, "_check_help", lambda parser, action: None)  # noqa: B010
     with one_line_exits(lambda: "nothing was written"):
         from dirl.cli import help, parsing
-        from dirl.config.values import check_choice
+        from dirl.config.components import check_choice
 
         arguments = sys.argv[1:]
         if schema is not None and "-sc" in arguments:

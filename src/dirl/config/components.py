@@ -5,6 +5,7 @@ annotated signature defines the valid options: types, and bounds by `dirl.config
 world, the width of a view's features) are passed by the names of its parameters, see `GROUPS`.
 """
 
+import difflib
 import importlib
 import inspect
 import traceback
@@ -12,10 +13,12 @@ import typing
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dirl.config.schemas import ConfigError, Schedule, TrainConfig
-from dirl.config.values import check_choice, check_value
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 TARGET = "_target_"
 
@@ -185,41 +188,36 @@ def check_options(name: str, parameters: Parameters, options: Options) -> None:
         ConfigError: an unknown or missing option, or a value of the wrong type or out of bounds.
     """
     group = name.split(".")[0]
+    changing = schedules(name, options) if group == "losses" else {}
     offered, kind = GROUPS.get(group, frozenset()), str(options[TARGET]).rpartition(".")[2]
     choices = [option for option in parameters if option not in offered]
-    scheduled = ("weight",) if group == "losses" else ()
     for option, value in options.items():
-        if option in (TARGET, *scheduled):
+        if option == TARGET or (option == "weight" and group == "losses"):
             continue
         check_choice(f"option '{name}.{option}'", str(option), choices, f"{name}.")
         if isinstance(value, Mapping) and TARGET in value:
             raise ConfigError(f"{name}.{option}: a component cannot hold another one")
-        if not (group == "losses" and is_schedule(value)):
+        if option not in changing:
             check_value(f"{name}.{option}", value, parameters[option][0])
-    if group == "losses":
-        schedules(name, options)
     for option, (_, required) in parameters.items():
         if required and option not in options and option not in offered:
             raise ConfigError(f"{name}.{option}: {kind} needs it; give {name}.{option}=...")
 
 
-def is_schedule(value: object) -> bool:
-    """True if a value is ``{start: ..., end: ...}``."""
-    return isinstance(value, Mapping) and set(value) == {"start", "end"}
-
-
 def schedules(name: str, options: Options) -> dict[str, Schedule]:
     """Return the options of a loss that change linearly over the training, and its ``weight``, constant or not.
+
+    One that changes is given as ``{start: ..., end: ...}``.
 
     Raises:
         ConfigError: one is no finite number.
     """
-    found = {"weight": options.get("weight", 1.0)} | {
-        key: value for key, value in options.items() if is_schedule(value)
-    }
     made = {}
-    for option, value in found.items():
-        ends = value if is_schedule(value) else {"start": value, "end": value}
+    for option, value in {"weight": 1.0, **options}.items():
+        changes = isinstance(value, Mapping) and set(value) == {"start", "end"}
+        if not changes and option != "weight":
+            continue
+        ends = value if changes else {"start": value, "end": value}
         for end in ends.values():
             check_value(f"{name}.{option}", end, float)
         made[option] = Schedule(**{key: float(end) for key, end in ends.items()})
@@ -245,8 +243,8 @@ def make(name: str, options: Options, trust: Collection[str] | None = None, **of
     check_options(name, parameters, options)
     given = {key: value for key, value in options.items() if key != TARGET}
     if name.startswith("losses."):
-        given.pop("weight", None)
-        given = {key: value["start"] if is_schedule(value) else value for key, value in given.items()}
+        given |= {option: schedule.start for option, schedule in schedules(name, options).items()}
+        del given["weight"]
     wanted = {key: value for key, value in offered.items() if key in parameters}
     try:
         return cls(**given, **wanted)
@@ -292,3 +290,41 @@ def describe_error(error: Exception, cls: type) -> str:
         file = None
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     return f"{says} ({Path(file).name}, line {lines[-1]})" if file and lines else says
+
+
+def check_choice(told: str, given: str, choices: Collection[str], prefix: str = "") -> None:
+    """Raise `ConfigError` unless there is such a choice; ``told`` is what there is not."""
+    if given not in choices:
+        near = difflib.get_close_matches(given, choices, n=1)
+        hint = f"did you mean {prefix}{near[0]}?" if near else f"choose from {', '.join(choices) or 'none'}"
+        raise ConfigError(f"there is no {told}; {hint}")
+
+
+def check_value(name: str, value: object, annotation: Any) -> None:
+    """Check one plain value against an annotation by pydantic, which takes it as JSON: true is no number.
+
+    Raises:
+        ConfigError: it does not fit.
+    """
+    from pydantic import PydanticUserError, TypeAdapter, ValidationError  # late: help does without
+    from pydantic_core import to_json
+
+    rules: Any = {"strict": True, "allow_inf_nan": False, "arbitrary_types_allowed": True}
+    try:
+        TypeAdapter(annotation, config=rules).validate_json(
+            to_json(value, inf_nan_mode="constants", serialize_unknown=True)
+        )
+    except PydanticUserError:  # the annotation has a name that is only imported for type checkers
+        return
+    except ValidationError as error:
+        raise ConfigError(f"{name}={'null' if value is None else value}: {first_error(error)}") from None
+
+
+def first_error(error: "ValidationError") -> str:
+    """Return the first error of a validation in one line: where in the value it is, and what must be there."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    if first["type"] == "needs_python_object":
+        return "must be an object of Python, which no option can be"
+    where = "".join(f"[{part}]: " if isinstance(part, int) else f"{part}: " for part in first["loc"])
+    what = first["msg"].replace("Input should", "must").replace("Field required", "is missing")
+    return " ".join(f"{where}{what}".split())  # keys of a file can have more than one line

@@ -1,6 +1,7 @@
-"""Configurations in files: those of runs, choices of a group of ``conf/``, and components in files of the user's own.
+"""Configurations: their values, typed and plain, and their files.
 
-A run saves its own completely. All are read without running or resolving anything in them.
+Files are those of runs, choices of a group of ``conf/``, and components of the user's own. A run saves its
+configuration completely. All are read without running or resolving anything in them.
 """
 
 from collections.abc import Collection, Mapping
@@ -8,16 +9,63 @@ from pathlib import Path
 from typing import Any
 
 import yaml  # PyYAML comes with OmegaConf
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from dirl.config.components import PUBLIC, TARGET, Options, check_components, make
+from dirl.config.components import PUBLIC, TARGET, Options, check_components, check_value, make
 from dirl.config.folders import CONF
+from dirl.config.options import option_types
 from dirl.config.schemas import ConfigError, TrainConfig
-from dirl.config.values import leaves, plain, typed
 
 MAX_CHARACTERS = 200_000
 """Of a saved configuration; those that are written here have 4,000."""
+
+
+def typed(config: DictConfig) -> Any:
+    """Return the dataclass of a composed configuration.
+
+    Raises:
+        ConfigError: a value is missing, of the wrong type, or outside its limits.
+    """
+    try:
+        made = OmegaConf.to_object(config)
+        for name, value in config.items():
+            if isinstance(value, DictConfig) and OmegaConf.get_type(value) is dict:  # plain, also what is interpolated
+                setattr(made, str(name), OmegaConf.to_container(value, resolve=True, enum_to_str=True))
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{error.full_key or 'an option'}: {str(error).splitlines()[0]}") from None
+    scene = OmegaConf.select(config, "scene")
+    for one in scene if OmegaConf.is_list(scene) else [scene]:
+        if one is not None and not isinstance(one, str):
+            raise ConfigError(f"scene={scene}: must be a name, a path, or a list of them")
+    kinds = option_types(type(made), bounds=True)
+    for name, value in leaves(OmegaConf.to_container(config, resolve=True)).items():
+        if type(value) in (int, float):  # of other values OmegaConf has checked the types
+            check_value(name, value, kinds.get(name, int | float))
+    return made
+
+
+def plain(config: object) -> dict[str, Any]:
+    """Return a typed configuration as nested values, without ``out``, ``resume`` and ``trust`` of its start."""
+    values: Any = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
+    return {**values, "out": None, "resume": None, "trust": None}
+
+
+def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the values of a nested configuration by dotted name; goals and lists are values."""
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        inside = isinstance(value, Mapping) and name != "goals"
+        found |= leaves(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
+    return found
+
+
+def names(option: str, value: object) -> list[str]:
+    """Return the names that an option gives, one or a list of them; `ConfigError` if it gives something else."""
+    given = value if isinstance(value, list) else [value]
+    if not given or not all(isinstance(one, str | int) and not isinstance(one, bool) for one in given):
+        raise ConfigError(f"{option}={value}: must be the name of a file or a folder, or a list of them")
+    return [str(one) for one in given]
 
 
 def config_text(config: TrainConfig) -> str:

@@ -44,7 +44,7 @@ class NavigationEnv(EnvBase):
         slip: the probability that an action has no effect.
         reward: of a step.
         stop: where an agent stops on its way to each goal, bool ``[P]``, see
-            `dirl.perception.recognition.matching.TemplateStop`. A stop anywhere but at the goal ends the episode with
+            `dirl.perception.recognition.recogniser.TemplateStop`. A stop anywhere but at the goal ends the episode with
             the reward of an ordinary step.
         seed: of the generator that draws goals and starts. The policy draws the actions.
     """
@@ -94,17 +94,14 @@ class NavigationEnv(EnvBase):
         if seed is not None:
             self.generator.manual_seed(seed)
 
-    def _draw(self) -> Tensor:
-        """Two numbers from 0 to 1 for each agent, float32 ``[2, *batch]``."""
-        runs, *agents = self.batch_size
-        each = (2, runs // len(self.generators), *agents)
-        return torch.cat([torch.rand(each, generator=own, device=self.device) for own in self.generators], 1)
-
     def _any_look(self) -> Tensor:
         return torch.randint(self.world.looks, self.batch_size, generator=self.generator, device=self.device)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDictBase:
-        draw = self._draw()
+        # Two numbers from 0 to 1 for each agent, [2, *batch].
+        runs, *agents = self.batch_size
+        each = (2, runs // len(self.generators), *agents)
+        draw = torch.cat([torch.rand(each, generator=own, device=self.device) for own in self.generators], 1)
         goal = (draw[0] * len(self.world.goals)).long()
         start = (draw[1] * self.start_count[goal]).long()
         state = self.starts[self.first_start[goal] + start]

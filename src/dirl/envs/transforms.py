@@ -59,18 +59,15 @@ class SurroundingViews(Transform):
         """Return the view ids after a step to where ``picture`` is seen, int64 ``[...]``, given those before it."""
         return self.reset_view_ids(picture)
 
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict["view_ids"] = self.reset_view_ids(self._picture(next_tensordict, "state", "look"))
-        next_tensordict["goal_view_ids"] = self.goal_view_ids(self._picture(next_tensordict, "goal", "goal_look"))
-        return next_tensordict
-
     def _picture(self, tensordict: TensorDictBase, state: str, look: str) -> Tensor:
         """Return the view id of a state in the look that was sampled; the state itself where there is one look."""
         found: Tensor = tensordict[state]
         return found if self.pictures == self.states else found + self.states * tensordict[look]
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return self._call(tensordict_reset)
+        tensordict_reset["view_ids"] = self.reset_view_ids(self._picture(tensordict_reset, "state", "look"))
+        tensordict_reset["goal_view_ids"] = self.goal_view_ids(self._picture(tensordict_reset, "goal", "goal_look"))
+        return tensordict_reset
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         picture = self._picture(next_tensordict, "state", "look")

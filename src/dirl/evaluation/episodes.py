@@ -14,12 +14,13 @@ from dirl.agent.decisions import AgentBatch, WorldTables, deciding
 from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
 from dirl.evaluation.experts import RandomPolicy
-from dirl.models import frozen
-from dirl.perception.recognition.matching import StopRule
-from dirl.perception.recognition.recogniser import NCC
-from dirl.perception.recognition.tables import VisitScores
+from dirl.models import caching
+from dirl.perception.recognition.recogniser import NCC, StopRule, VisitScores
 from dirl.scenes import ACTIONS
 from dirl.scenes.world import World
+
+BAR_SECONDS = 0.2 if sys.stderr.isatty() else 10.0
+"""Between two drawings of a progress bar: in a file each drawing is a line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +48,6 @@ class Episodes:
         never = (torch.zeros_like(start, dtype=torch.bool) for _ in range(3))
         return cls(goal_index, start, shortest, torch.full_like(start, max_steps), *never)
 
-    def record(self, episode: Tensor, at_goal: Tensor, stopped: Tensor, step: int) -> None:
-        """Note where agents stopped after a step, or should have, bool ``[W]``, of episodes int64 ``[W]``."""
-        self.success[episode] = stopped & at_goal
-        self.false_stop[episode] = stopped & ~at_goal
-        self.missed_stop[episode] |= at_goal & ~stopped
-        self.steps[episode[stopped & at_goal]] = step
-
     def select(self, chosen: Tensor) -> "Episodes":
         """Return some of the episodes, by mask or index."""
         return Episodes(*(value[chosen] for value in vars(self).values()))
@@ -71,7 +65,7 @@ def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tens
     generator = torch.Generator().manual_seed(seed)
     drawn = []
     for index, offset in enumerate(world.offsets):
-        reaches = torch.stack([world.block(world.distances, goal) > 0 for goal in world.goals_in(index)])
+        reaches = torch.stack([world.block(world.distances, goal) > 0 for goal in world.goals_of[index]])
         starts = torch.multinomial(reaches.float().cpu(), per_goal, replacement=True, generator=generator)
         drawn.append(starts.flatten() + offset)
     goal_index = torch.arange(len(world.goals)).repeat_interleave(per_goal)
@@ -104,7 +98,7 @@ class EvaluationProtocol:
     """Goal index and start state of each episode, int64 ``[E]`` each; see `dirl.evaluation.episodes.every_start`."""
     stop: Tensor | StopRule | None = None
     """Where an agent stops on its way to each goal, bool ``[P]``, see `World.pair`, or by what it sees; None = exactly
-    at the goal. With a `LocalisingMemory` its log odds, `dirl.perception.recognition.matching.ScoreFunction`."""
+    at the goal. With a `LocalisingMemory` its log odds, `dirl.perception.recognition.recogniser.ScoreFunction`."""
     max_steps: int = 200
     """An episode that has not arrived by then has failed."""
     seed: int = 0
@@ -134,11 +128,95 @@ class EvaluationProtocol:
     held_out: "EvaluationProtocol | None" = None
     """The same for goals that were held out of the training, if there are any."""
 
-    def run(self, policy: nn.Module, *, greedy: bool = True) -> Episodes:
-        """Walk one episode from each start."""
+    @torch.no_grad()
+    def run(
+        self, policy: nn.Module, *, greedy: bool = True, passed: list[tuple[Tensor, Tensor, Tensor]] | None = None
+    ) -> Episodes:
+        """Walk one episode from each start. In a world that changes every visit and every goal has a look sampled.
+
+        The look of its goal is not sampled for the visits of an episode: no place looks to the bit as in the goal's
+        views.
+
+        This is no TorchRL rollout, for two reasons. Finished episodes leave the batch, which an ``EnvBase`` does not
+        support. And a memoryless policy is evaluated once for all agents with the same observation and goal.
+
+        Args:
+            policy: reads a tensordict and writes ``logits``; with memory also its next recurrent state.
+            greedy: take the most probable action (of equal ones the first), else draw one.
+            passed: where after each step the unfinished episodes, their states and actions are added, int64 ``[W]``
+                each.
+        """
         if self.walked:
             return self.walked[0 if greedy else 1]
-        return run_episodes(policy, self, greedy=greedy)
+        world, observation, memory, scores = self.world, self.observation, self.memory, self.scores
+        goal_index, start = self.starts
+        episodes = Episodes.failed(goal_index, start, world.distance(goal_index, start), self.max_steps)
+        generator = torch.Generator(world.device).manual_seed(self.seed)
+        goals = len(world.goals)
+        wanted = drawn_looks(goal_index, goals, world, generator, looks=self.photos or self.looks)
+        # In a control the policy is shown other goals, in the same look.
+        shown = wanted if self.shown is None else self.shown[wanted % goals] + wanted // goals * goals
+        few = len(start) <= MANY
+        bar = tqdm(
+            total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=BAR_SECONDS, disable=few
+        )
+        if memory is not None and scores is None:
+            scores = VisitScores(NCC(), world)
+        with caching(policy, learns=False), bar:
+            at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
+            known = WorldTables(
+                world,
+                observation,
+                decide=None if at_random else deciding(policy, world, observation, len(start)),
+                arrived=_arrived(world, self.stop),
+                scores=scores,
+                around=world.panoramas() if self.panorama else None,
+                possible=world.possible if self.arrows else None,
+                sweeps=isinstance(policy, RandomPolicy),
+            )
+
+            def ahead_in(state: Tensor, wanted: Tensor) -> Tensor:
+                besides = None if self.photos else wanted // goals
+                return drawn_looks(state, len(world), world, generator, besides, self.looks)
+
+            every = torch.arange(len(start), device=world.device)
+            # A memory of many episodes takes much space until they have ended.
+            together = list(every.split(MANY if memory is not None else max(1, len(start))))
+            if self.maps is not None:
+                scene_of_start = world.scene_of[start]
+                together = [every[scene_of_start == scene] for scene in scene_of_start.unique()]
+            for rows in together:
+                ahead = ahead_in(start[rows], wanted[rows])
+                view_ids = observation.reset_view_ids(ahead)
+                walk = AgentBatch(known, rows, wanted[rows], shown[rows], start[rows], ahead, view_ids)
+                scene = world.scene_of[walk.state]
+                agent = make_agent(memory, world.turns[scene], None if self.maps is None else self.maps[int(scene[0])])
+                agent.arrive(walk)  # no agent stops before its first step
+                for step in range(1, self.max_steps + 1):
+                    if at_random:
+                        action = torch.randint(len(ACTIONS), walk.state.shape, generator=generator, device=world.device)
+                    else:
+                        action, _ = agent.act(walk, generator, greedy=greedy)
+                    state = world.graph[walk.state, action]
+                    ahead = ahead_in(state, walk.wanted)
+                    walk = replace(
+                        walk, state=state, ahead=ahead, view_ids=observation.step_view_ids(walk.view_ids, ahead)
+                    )
+                    stopped = agent.arrive(walk)
+                    at_goal = state == world.goals[goal_index[walk.episode]]
+                    episodes.success[walk.episode] = stopped & at_goal
+                    episodes.false_stop[walk.episode] = stopped & ~at_goal
+                    episodes.missed_stop[walk.episode] |= at_goal & ~stopped
+                    episodes.steps[walk.episode[stopped & at_goal]] = step
+                    if passed is not None:
+                        passed.append((walk.episode, state, action))
+                    going = torch.nonzero(~stopped).flatten()
+                    bar.update(len(stopped) - len(going))
+                    if not len(going):
+                        break
+                    agent.select(going)
+                    walk = walk.select(going)
+        return episodes
 
     def run_random(self) -> Episodes:
         """Return the same for random actions. The environment stops the agent, so that it makes no false stops."""
@@ -146,110 +224,25 @@ class EvaluationProtocol:
             return self.walked[2]
         return replace(self, stop=None, memory=None, maps=None, panorama=False).run(RandomPolicy(), greedy=False)
 
-    def run_sweep(self) -> Episodes:
-        """The same for a sweep that ignores the goal: no policy, but the same memory, stop, panorama and arrows."""
-        return replace(self, walked=()).run(RandomPolicy())
-
     def trajectories(
         self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
     ) -> tuple[Episodes, list[list[int]]]:
         """Episodes from given starts, and the states that each passed, from its start to its last state."""
+        passed: list[tuple[Tensor, Tensor, Tensor]] = []
+        episodes = replace(self, starts=starts, walked=()).run(policy, greedy=greedy, passed=passed)
         paths = [[state] for state in starts[1].tolist()]
-
-        def watch(walking: Tensor, state: Tensor, _: Tensor) -> None:
-            for episode, passed in zip(walking.tolist(), state.tolist(), strict=True):
-                paths[episode].append(passed)
-
-        return run_episodes(policy, replace(self, starts=starts), greedy=greedy, watch=watch), paths
+        for walking, states, _ in passed:
+            for episode, state in zip(walking.tolist(), states.tolist(), strict=True):
+                paths[episode].append(state)
+        return episodes, paths
 
     def walks(self, policy: nn.Module, starts: tuple[Tensor, Tensor]) -> list[Tensor]:
         """The actions of greedy episodes from given starts, until each stops or fails; int64 ``[steps]`` each."""
-        steps: list[tuple[Tensor, Tensor]] = []
-        protocol = replace(self, starts=starts)
-        run_episodes(policy, protocol, watch=lambda walking, _, action: steps.append((walking, action)))
-        episode, action = (torch.cat(parts) for parts in zip(*steps, strict=True))
+        passed: list[tuple[Tensor, Tensor, Tensor]] = []
+        replace(self, starts=starts, walked=()).run(policy, passed=passed)
+        episode, _, action = (torch.cat(parts) for parts in zip(*passed, strict=True))
         order = torch.argsort(episode, stable=True)
         return list(action[order].split(torch.bincount(episode, minlength=len(starts[0])).tolist()))
-
-
-@torch.no_grad()
-def run_episodes(
-    policy: nn.Module,
-    protocol: EvaluationProtocol,
-    *,
-    greedy: bool = True,
-    watch: Callable[[Tensor, Tensor, Tensor], None] | None = None,
-) -> Episodes:
-    """One episode from each start. In a world that changes every visit and every goal has a look sampled for it.
-
-    The look of its goal is not sampled for the visits of an episode: no place looks to the bit as in the goal's views.
-
-    This is no TorchRL rollout, for two reasons. Finished episodes leave the batch, which an ``EnvBase`` does not
-    support. And a memoryless policy is evaluated once for all agents with the same observation and goal.
-
-    Args:
-        policy: reads a tensordict and writes ``logits``; with memory also its next recurrent state.
-        protocol: where, from which starts, and under which conditions.
-        greedy: take the most probable action (of equal ones the first), else draw one.
-        watch: called after each step with the unfinished episodes, their states and actions, int64 ``[W]`` each.
-    """
-    world, observation, memory, scores = protocol.world, protocol.observation, protocol.memory, protocol.scores
-    looks, photos, maps = protocol.looks, protocol.photos, protocol.maps
-    goal_index, start = protocol.starts
-    episodes = Episodes.failed(goal_index, start, world.distance(goal_index, start), protocol.max_steps)
-    generator = torch.Generator(world.device).manual_seed(protocol.seed)
-    wanted = drawn_looks(goal_index, len(world.goals), world, generator, looks=photos or looks)
-    few = len(start) <= MANY
-    bar = tqdm(
-        total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=bar_interval(), disable=few
-    )
-    if memory is not None and scores is None:
-        scores = VisitScores(NCC(), world)
-    with frozen(policy), bar:
-        at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
-        decide = None if at_random else deciding(policy, world, observation, len(start))
-        around = world.panoramas() if protocol.panorama else None
-        possible = world.possible if protocol.arrows else None
-        sweeps = isinstance(policy, RandomPolicy)
-        arrived = _arrived(world, protocol.stop)
-        known = WorldTables(world, observation, decide, arrived, scores, protocol.shown, around, possible, sweeps)
-
-        def ahead_in(state: Tensor, goals: Tensor) -> Tensor:
-            besides = None if photos else goals // len(world.goals)
-            return drawn_looks(state, len(world), world, generator, besides, looks)
-
-        all_episodes = torch.arange(len(start), device=world.device)
-        # A memory of many episodes takes much space until they have ended.
-        together = list(all_episodes.split(MANY if memory is not None else max(1, len(start))))
-        if maps is not None:
-            scene_of_start = world.scene_of[start]
-            together = [all_episodes[scene_of_start == scene] for scene in scene_of_start.unique()]
-        for walking in together:
-            here, goals = start[walking], wanted[walking]
-            ahead = ahead_in(here, goals)
-            walk = AgentBatch(known, walking, goals, here, ahead, observation.reset_view_ids(ahead))
-            scene = world.scene_of[here]
-            map_of_scene = None if maps is None else maps[int(scene[0])]
-            agent = make_agent(memory, world.turns[scene], map_of_scene)
-            agent.arrive(walk)  # no agent stops before its first step
-            for step in range(1, protocol.max_steps + 1):
-                if at_random:
-                    action = torch.randint(len(ACTIONS), walk.state.shape, generator=generator, device=world.device)
-                else:
-                    action, _ = agent.act(walk, generator, greedy=greedy)
-                state = world.graph[walk.state, action]
-                walk = walk.after(state, ahead_in(state, walk.wanted))
-                stopped = agent.arrive(walk)
-                episodes.record(walk.episode, walk.state == world.goals[goal_index[walk.episode]], stopped, step)
-                if watch is not None:
-                    watch(walk.episode, walk.state, action)
-                going = torch.nonzero(~stopped).flatten()
-                bar.update(len(stopped) - len(going))
-                if not len(going):
-                    break
-                agent.select(going)
-                walk = walk.select(going)
-    return episodes
 
 
 def drawn_looks(
@@ -284,8 +277,3 @@ def _arrived(world: World, stop: Tensor | StopRule | None) -> StopRule:
     if isinstance(stop, Tensor):
         return lambda wanted, ahead: stop[world.pair(wanted % goals, ahead % states)]
     return stop
-
-
-def bar_interval() -> float:
-    """Seconds between two drawings of a progress bar: in a file each drawing is a line."""
-    return 0.2 if sys.stderr.isatty() else 10.0

@@ -41,9 +41,11 @@ class ShortestPathExpert(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``expert_action`` and ``optimal_actions``."""
         goal_index, state = self.world.goal_index[tensordict["goal"]], tensordict["state"]
-        optimal = optimal_actions(self.world, goal_index, state)
-        advises = self.world.distance(goal_index, state) > 0
-        tensordict["expert_action"] = torch.where(advises, optimal.int().argmax(-1), -1)
+        left = self.world.distance(goal_index, state)
+        # The first action of a shortest path leads a step nearer; at the goal, and where none leads there, none is.
+        after = self.world.distance(goal_index.unsqueeze(-1), self.world.graph[state])
+        optimal = after == left.unsqueeze(-1) - 1
+        tensordict["expert_action"] = torch.where(left > 0, optimal.int().argmax(-1), -1)
         return tensordict.set("optimal_actions", optimal)
 
 
@@ -69,16 +71,6 @@ class RandomPolicy(TensorDictModuleBase):
         """Write ``logits``."""
         state = tensordict["state"]
         return tensordict.set("logits", torch.zeros((*state.shape, len(ACTIONS)), device=state.device))
-
-
-def optimal_actions(world: World, goal_index: Tensor, state: Tensor) -> Tensor:
-    """Return which actions are the first of a shortest path, bool ``[B, 4]``.
-
-    Goals are given by their place in ``world.goals``, and states of their scenes, int64 ``[B]`` each. The result is not
-    meaningful at a goal, and where it cannot be reached.
-    """
-    after = world.distance(goal_index.unsqueeze(-1), world.graph[state])
-    return after == world.distance(goal_index, state).unsqueeze(-1) - 1
 
 
 def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:

@@ -9,7 +9,7 @@ from dirl.agent.mapping.places import ParticleMapper, PlaceMap
 from dirl.agent.mapping.walks import explore
 from dirl.evaluation.episodes import drawn_looks
 from dirl.models import LocalisingMemory
-from dirl.perception.recognition.tables import VisitScores
+from dirl.perception.recognition.recogniser import VisitScores
 from dirl.scenes.graph import AHEAD, BACK, RIGHT
 from dirl.scenes.world import World
 

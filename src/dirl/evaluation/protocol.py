@@ -54,7 +54,8 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]
         "sampled": report(protocol.run(policy, greedy=False), world, protocol.metric),
     }
     if isinstance(protocol.memory, PlanningMemory | LocalisingMemory) and protocol.maps is None:
-        found["sweep"] = report(protocol.run_sweep(), world, protocol.metric)
+        # No policy, but the same memory, stop, panorama and arrows.
+        found["sweep"] = report(replace(protocol, walked=()).run(RandomPolicy()), world, protocol.metric)
     return found if protocol.live is None else found | assess_live(policy, protocol.live)
 
 
@@ -63,22 +64,20 @@ def assess_live(policy: nn.Module, live: Callable[..., Episodes]) -> dict[str, d
     return {"live": metrics(live(policy)), "live_told": metrics(live(policy, told=True))}
 
 
-def mean_shortest(world: World) -> list[float]:
-    """Return the length of the shortest path to each goal, averaged over the states that reach it."""
-    blocks = [world.block(world.distances, goal) for goal in range(len(world.goals))]
-    return [block[block > 0].double().mean().item() for block in blocks]
-
-
-def metrics(episodes: Episodes) -> dict[str, float]:
+def metrics(episodes: Episodes, metric: Metric | None = None) -> dict[str, float]:
     """Return the measures of the paper's section 4.3, over all episodes unless said otherwise.
 
     ``atl``: steps, with the limit for failures; ``atl_success``: steps of the successful ones (NaN if there are
     none); ``sr``: fraction that stopped at the goal; ``spl``: success weighted by shortest/steps; ``shortest``: fewest
-    possible steps; ``false_stop_rate`` and ``missed_stop_rate``: fractions; ``episodes``: how many.
+    possible steps; ``false_stop_rate`` and ``missed_stop_rate``: fractions; ``episodes``: how many. With a ``metric``
+    of a user's own also what that says of them.
+
+    Raises:
+        ConfigError: the metric fails, or gives anything but numbers by names that are not taken.
     """
     success = episodes.success.double()
     steps, shortest = episodes.steps.double(), episodes.shortest.double()
-    return {
+    found = {
         "atl": steps.mean().item(),
         "atl_success": steps[episodes.success].mean().item(),
         "sr": success.mean().item(),
@@ -88,41 +87,30 @@ def metrics(episodes: Episodes) -> dict[str, float]:
         "missed_stop_rate": episodes.missed_stop.double().mean().item(),
         "episodes": len(steps),
     }
+    if metric is None:
+        return found
+    with tried("metric", metric):
+        own = metric(episodes)
+        if not isinstance(own, Mapping) or not own:
+            raise TypeError(f"gave {type(own).__name__}; expected numbers by name")
+        wrong = [name for name, value in own.items() if not isinstance(value, int | float) or name in found]
+        if wrong:
+            raise TypeError(f"{wrong[0]}={own[wrong[0]]!r:.40}: expected a number under a name of its own")
+    return found | {name: float(value) for name, value in own.items()}
 
 
 def report(episodes: Episodes, world: World, metric: Metric | None = None) -> Report:
     """`metrics` overall; under ``scenes`` those of each scene, and under its ``goals`` those of each goal's state."""
-
-    def measured(some: Episodes) -> Report:
-        return metrics(some) if metric is None else metrics(some) | own_metrics(metric, some)
-
-    summary: Report = {**measured(episodes), "scenes": {}}
+    summary: Report = {**metrics(episodes, metric), "scenes": {}}
     order = torch.argsort(episodes.goal_index, stable=True)
     sizes = torch.bincount(episodes.goal_index, minlength=len(world.goals)).tolist()
     for goal, those in zip(world.goals.tolist(), order.split(sizes), strict=True):
         scene, local = world.local(goal)
         if scene.name not in summary["scenes"]:
             inside = world.scene_of[episodes.start] == world.scene_of[goal]
-            summary["scenes"][scene.name] = {**measured(episodes.select(inside)), "goals": {}}
-        summary["scenes"][scene.name]["goals"][str(local)] = measured(episodes.select(those))
+            summary["scenes"][scene.name] = {**metrics(episodes.select(inside), metric), "goals": {}}
+        summary["scenes"][scene.name]["goals"][str(local)] = metrics(episodes.select(those), metric)
     return summary
-
-
-def own_metrics(metric: Metric, episodes: Episodes) -> dict[str, float]:
-    """Return what a metric of a user's own says of some episodes.
-
-    Raises:
-        ConfigError: it fails, or gives anything but numbers by names that are not taken.
-    """
-    with tried("metric", metric):
-        found = metric(episodes)
-        if not isinstance(found, Mapping) or not found:
-            raise TypeError(f"gave {type(found).__name__}; expected numbers by name")
-        taken = found.keys() & metrics(episodes).keys()
-        wrong = [name for name, value in found.items() if not isinstance(value, int | float) or name in taken]
-        if wrong:
-            raise TypeError(f"{wrong[0]}={found[wrong[0]]!r:.40}: expected a number under a name of its own")
-        return {name: float(value) for name, value in found.items()}
 
 
 class EpisodeMeter:
@@ -169,21 +157,22 @@ class EpisodeMeter:
     @property
     def atl(self) -> float:
         """The current ATL of the goals that have any episode yet, averaged; NaN before there is one."""
-        means = self._means()
+        means = [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
         return sum(means) / len(means) if means else math.nan
 
-    @property
-    def worst_atl(self) -> float:
-        """The current ATL of the goal with the highest one; NaN before there are any episodes."""
-        return max(self._means(), default=math.nan)
+    def measures(self, limit: int) -> dict[str, float]:
+        """Return what `atl` averages, that of the worst goal, and the success rate, over the goals that have episodes.
 
-    def success_rate(self, limit: int) -> float:
-        """Return the fraction of these episodes that ended before the step limit, averaged over goals as the ATL is."""
+        ``sr`` is the fraction of the latest episodes that ended before the step limit, averaged over goals as well.
+        """
+        means = [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
         rates = [sum(steps < limit for steps in last) / len(last) for last in self.steps if last]
-        return sum(rates) / len(rates) if rates else math.nan
-
-    def _means(self) -> list[float]:
-        return [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
+        return {
+            "atl": self.atl,
+            "atl_worst_goal": max(means, default=math.nan),
+            "episodes": self.episodes,
+            "sr": sum(rates) / len(rates) if rates else math.nan,
+        }
 
     def state_dict(self) -> Report:
         """Return what `load_state_dict` takes; the totals only tell whether the steps were changed."""

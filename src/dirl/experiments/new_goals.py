@@ -150,7 +150,7 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
             changes = {"goals": {scene: [goal]}, "evaluation.max_steps": MAX_STEPS, "evaluation.starts": "every"}
             _, policy, protocol = run.load(changes)
             goal_index, start = protocol.starts
-            there = goal_index == protocol.world.goals_in(protocol.world.names.index(scene))[0]
+            there = goal_index == protocol.world.goals_of[protocol.world.names.index(scene)][0]
             episodes, paths = protocol.trajectories(policy, (goal_index[there], start[there]), greedy=False)
             farthest = int(episodes.shortest.argmax())
             walked.append(episodes.steps[farthest].item())

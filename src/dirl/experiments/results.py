@@ -13,8 +13,7 @@ from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import RunError, Summary, finished_folders, load_checkpoint
-from dirl.scenes.io.atomic import atomic_path, write_json, write_text
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.files import atomic_path, read_text, write_json, write_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.build import Trained, load_trained
 

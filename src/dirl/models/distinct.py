@@ -8,6 +8,7 @@ embedded is not computed again for the loss: it is computed with its graph, whic
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -26,37 +27,38 @@ class EmbeddingCache:
     """A cache of rows by key, each computed once.
 
     Args:
+        compute: the rows of distinct keys, int64 ``[R]`` to ``[R, ...]``.
         every: compute the rows of all keys below this number at the first use, which saves looking up what is known
             (and on a GPU a host-device synchronisation); None to compute what is needed.
         learns: keep the graph that leads to the rows.
     """
 
-    def __init__(self, every: int | None = None, *, learns: bool = False) -> None:
-        self.every, self.learns = every, learns
+    def __init__(self, compute: Callable[[Tensor], Tensor], every: int | None = None, *, learns: bool = False) -> None:
+        self.compute, self.every, self.learns = compute, every, learns
         self.keys = torch.empty(0, dtype=torch.int64)
         """Of the rows, int64 ``[R]``, in the order of their first use."""
         self.rows = torch.empty(0)
         """What was computed for them, ``[R, ...]``."""
         self._sorted = self._places = self.keys
 
-    def places(self, keys: Tensor, compute: Callable[[Tensor], Tensor]) -> Tensor:
+    def places(self, keys: Tensor) -> Tensor:
         """Return the place among the rows of each key, int64 ``[K]`` to ``[K]``; missing rows are computed."""
         with torch.set_grad_enabled(self.learns):
             if self.every is not None:
                 if not len(self.keys):
                     self.keys = torch.arange(self.every, device=keys.device)
-                    self.rows = compute(self.keys)
+                    self.rows = self.compute(self.keys)
                 return keys
             if not len(self.keys):
                 self.keys, inverse = torch.unique(keys, return_inverse=True)
-                self.rows = compute(self.keys)
+                self.rows = self.compute(self.keys)
                 self._sorted, self._places = self.keys, torch.arange(len(self.keys), device=keys.device)
                 return inverse
             at = torch.searchsorted(self._sorted, keys).clamp_(max=len(self._sorted) - 1)
             new = torch.unique(keys[self._sorted[at] != keys])
             if len(new):
                 self.keys = torch.cat([self.keys, new])
-                self.rows = torch.cat([self.rows, compute(new)])
+                self.rows = torch.cat([self.rows, self.compute(new)])
                 self._sorted, self._places = torch.sort(self.keys)
                 at = torch.searchsorted(self._sorted, keys)
             return self._places[at]
@@ -142,30 +144,28 @@ class CachedEncoder(nn.Module):
         """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
         encoder, table = self._wrapped
         learns = torch.is_grad_enabled() or self._learns
+        embed_goal = getattr(encoder, "embed_goal", None)
         if self._kept is None or not self._keeps or learns > self._kept[0].learns:
             # To find what is distinct, the CPU would wait for a GPU: there all observations are embedded at once.
             known = self.surrounding if reading_waits(table.table) else None
             every = None if known is None else len(known)
-            self._kept = EmbeddingCache(every, learns=learns), EmbeddingCache(every, learns=learns)
+            self._kept = (
+                EmbeddingCache(partial(self._embed, encoder.embed), every, learns=learns),
+                EmbeddingCache(partial(self._embed, embed_goal or encoder.embed), every, learns=learns),
+            )
         seen, shown = self._kept
         if torch.is_grad_enabled():
             self._kept = None  # a graph is gone back through once
         keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
-        if not hasattr(encoder, "embed_goal"):  # observations and goals are embedded alike
-            both = self._embedded(seen, encoder.embed, torch.cat([keys, goal_keys]))
-            return encoder.fuse(*both.split(len(keys)))
-        observed = self._embedded(seen, encoder.embed, keys)
-        return encoder.fuse(observed, self._embedded(shown, encoder.embed_goal, goal_keys))
+        if embed_goal is None:  # observations and goals are embedded alike
+            place = seen.places(torch.cat([keys, goal_keys]))
+            return encoder.fuse(*seen.rows.index_select(0, place).split(len(keys)))
+        place, goal_place = seen.places(keys), shown.places(goal_keys)
+        return encoder.fuse(seen.rows.index_select(0, place), shown.rows.index_select(0, goal_place))
 
-    def _embedded(self, cache: EmbeddingCache, embed: Callable[[Tensor], Tensor], keys: Tensor) -> Tensor:
-        """Return the embedding of each key, int64 ``[K]`` to ``[K, E]``, by a cache."""
-        table = self._wrapped[1]
-
-        def compute(new: Tensor) -> Tensor:
-            return embed(table(self.keys.unpack(new) if self.surrounding is None else self.surrounding[new]))
-
-        place = cache.places(keys, compute)
-        return cache.rows.index_select(0, place)
+    def _embed(self, embed: Callable[[Tensor], Tensor], keys: Tensor) -> Tensor:
+        """Return the embedding of each key, int64 ``[K]`` to ``[K, E]``."""
+        return embed(self._wrapped[1](self.keys.unpack(keys) if self.surrounding is None else self.surrounding[keys]))
 
     def _pack(self, view_ids: Tensor) -> Tensor:
         """Return a key for each observation, int64 ``[B, 4]`` to ``[B]``."""

@@ -57,6 +57,8 @@ class FeatureTable(nn.Module):
         self.register_buffer("patches", patches, persistent=False)
         self.register_buffer("table", None, persistent=False)
         self.refresh()
+        self.width = self.table.shape[1]
+        """The number of features of a view as the network reads it."""
         self.register_load_state_dict_post_hook(_refresh)
 
     mean: Tensor
@@ -91,11 +93,6 @@ class FeatureTable(nn.Module):
     def inputs(self) -> int:
         """The number of features of a view as the backbone gives it, D and those of its patches."""
         return self.features.shape[1] + (0 if self.patches is None else math.prod(self.patches.shape[1:]))
-
-    @property
-    def width(self) -> int:
-        """The number of features of a view as the network reads it."""
-        return self.table.shape[1]
 
     @property
     def known(self) -> Tensor:
@@ -175,15 +172,12 @@ class ObservationTable(FeatureTable):
         kept = variance > DEPENDENT * variance[-1]
         # In the state_dict, because another machine finds other axes where two are equally long.
         self.register_buffer("coordinates", (left[:, kept] * variance[kept].sqrt()).to(features))
+        self.width = self.coordinates.shape[1]
+        """The number of coordinates in a slot."""
 
     surrounding: Tensor | None
     coordinates: Tensor
     """X V = U L: of each observation, or of each view if any four can be seen, float32 ``[N, R]``."""
-
-    @property
-    def width(self) -> int:
-        """The number of coordinates in a slot."""
-        return self.coordinates.shape[1]
 
     def forward(self, view_ids: Tensor) -> Tensor:
         """Return the coordinates of observations, int64 ``[..., 4]`` to float32 ``[..., slots, R]``."""

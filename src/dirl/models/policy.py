@@ -119,7 +119,9 @@ class SceneTrunks(nn.Module):
 
     def __init__(self, scenes: Sequence[str], make: Callable[[], nn.Module]) -> None:
         super().__init__()
-        self.scenes = _by_name(scenes, make)
+        self.scenes = nn.ModuleDict({name.replace(".", "_"): make() for name in scenes})
+        if len(self.scenes) < len(scenes):
+            raise ValueError(f"the scenes' names must differ by more than dots and underscores: {list(scenes)}")
         self.sorts, self.only = False, slice(None)
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
@@ -137,7 +139,7 @@ class SceneTrunks(nn.Module):
         return done.index_select(0, torch.argsort(order)).unflatten(0, scene.shape)
 
 
-class SceneLinear(nn.Module):
+class SceneLinear(SceneTrunks):
     """One small linear layer for each scene; each row is passed through the layer of its scene, see `SceneTrunks`.
 
     All layers are applied to all rows, and the outputs of the right layer are selected. For a few outputs this is
@@ -145,8 +147,7 @@ class SceneLinear(nn.Module):
     """
 
     def __init__(self, scenes: Sequence[str], width: int, outputs: int) -> None:
-        super().__init__()
-        self.scenes, self.only = _by_name(scenes, lambda: nn.Linear(width, outputs)), slice(None)
+        super().__init__(scenes, lambda: nn.Linear(width, outputs))
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
         """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
@@ -163,13 +164,6 @@ def _pick(every: Tensor, scene: Tensor) -> Tensor:
         own = scene[..., None] == torch.arange(every.shape[-2], device=scene.device)
         return (every * own[..., None]).sum(-2)
     return every.take_along_dim(scene[..., None, None], -2).squeeze(-2)
-
-
-def _by_name(scenes: Sequence[str], make: Callable[[], nn.Module]) -> nn.ModuleDict:
-    modules = nn.ModuleDict({name.replace(".", "_"): make() for name in scenes})
-    if len(modules) < len(scenes):
-        raise ValueError(f"the scenes' names must differ by more than dots and underscores: {list(scenes)}")
-    return modules
 
 
 class Actions(Categorical):
@@ -291,27 +285,19 @@ class ActorCritic(TensorDictModuleBase):
         return tensordict
 
 
-def count_parameters(network: nn.Module) -> int:
-    """Return the number of trainable values."""
-    return sum(parameter.numel() for parameter in network.parameters() if parameter.requires_grad)
+def caching(policy: object, *, learns: bool) -> AbstractContextManager[None]:
+    """A context in which each observation is embedded once between two weight updates, if the policy supports it.
 
-
-def caching(policy: object) -> AbstractContextManager[None]:
-    """A context in which each observation is embedded once between two weight updates, if the policy supports it."""
+    In one that does not learn, as in evaluation, weights must not change.
+    """
     cached = getattr(policy, "cached", None)
-    return nullcontext() if cached is None else cached.keeping(learns=True)
-
-
-def frozen(policy: nn.Module) -> AbstractContextManager[None]:
-    """A context for evaluation: the weights must not change, so that the policy may precompute embeddings."""
-    cached = getattr(policy, "cached", None)
-    return nullcontext() if cached is None else cached.keeping(learns=False)
+    return nullcontext() if cached is None else cached.keeping(learns=learns)
 
 
 @contextmanager
 def in_scene(policy: nn.Module, number: int) -> Iterator[None]:
     """A context in which all rows are of one scene, so that only its layers are applied."""
-    modules = [one for one in policy.modules() if isinstance(one, SceneTrunks | SceneLinear) and len(one.scenes) > 1]
+    modules = [one for one in policy.modules() if isinstance(one, SceneTrunks) and len(one.scenes) > 1]
     for module in modules:
         module.only = slice(number, number + 1)
     try:

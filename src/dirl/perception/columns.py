@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from dirl.perception.matching import SCALE, Described, Fit, Motion
-from dirl.scenes.io.bounded import read_tensors
+from dirl.scenes.io.files import read_tensors
 
 COLUMNS = 40
 

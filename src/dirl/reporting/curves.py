@@ -14,7 +14,7 @@ from dirl.evaluation.protocol import STABLE_ATL, WINDOW
 from dirl.reporting.style import plain, write_figure
 from dirl.reporting.tables import read_columns, run_title
 from dirl.runs.checkpoints import Summary
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.files import read_text
 from dirl.scenes.palette import BLUE, GREEN, PURPLE, SKY, VERMILION
 
 FloatArray = NDArray[np.float64]

@@ -9,10 +9,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from PIL import Image, ImageDraw
 
-from dirl.reporting.style import draw_room, has_walls, star, write_figure
+from dirl.reporting.style import draw_room, marker, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
-from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.files import atomic_path
 from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
 MAX_THUMBNAILS = 720
@@ -59,10 +59,12 @@ def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
         at = scene.positions[goal]
         axes.annotate("", xytext=at, xy=at + 0.8 * side * ahead[goal], arrowprops=arrow, zorder=5)
         axes.plot(*at, "*", color=GOAL_COLOR, markeredgecolor="black", markersize=14, zorder=6)
-    handles: list[Patch | Line2D] = [Patch(color=WALL_COLOR, label="walls, furniture")] if has_walls(scene) else []
+    handles: list[Patch | Line2D] = (
+        [Patch(color=WALL_COLOR, label="walls, furniture")] if not scene.source.startswith("tour") else []
+    )
     handles.append(Line2D([], [], color="0.7", linewidth=0.8, label="moves ahead"))
     if len(scene.goals):
-        handles.append(star(12, "goals, and the way they face"))
+        handles.append(marker("*", 12, GOAL_COLOR, "black", "goals, and the way they face"))
     if parts.max() > 0:
         handles.append(Patch(color=COLORS[0], alpha=0.35, label="not connected with the rest"))
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch, Wedge
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import softmax
 
-from dirl.reporting.style import draw_room, star, write_figure
+from dirl.reporting.style import draw_room, marker, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.graph import shortest_distances, turns_per_circle
 from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
@@ -45,7 +45,7 @@ def draw_policy(
         goal: a state of the scene; the policy's, the value's and the matching's.
         logits: of the actions in each state, float ``[N, 4]`` in the order of `dirl.scenes.ACTIONS`.
         value: of each state, float ``[N]``.
-        matching: of each state with the goal, float ``[N]``, see `dirl.perception.recognition.matching.TemplateStop`.
+        matching: of each state with the goal, float ``[N]``, see `dirl.perception.recognition.recogniser.TemplateStop`.
         file: the image to write.
         title: of the figure.
         threshold: states that match better than this are outlined: there the agent stops.
@@ -114,7 +114,7 @@ def draw_policy(
     told = f"matches above {threshold:g}, states: {len(above)}"
     handles.append(Patch(facecolor="none", edgecolor=MATCH_COLOR, linewidth=1.6, label=told))
     handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
-    handles.append(star(11, f"goal, state {goal}"))
+    handles.append(marker("*", 11, GOAL_COLOR, "black", f"goal, state {goal}"))
     figure.legend(
         handles=handles,
         loc="outside lower center",

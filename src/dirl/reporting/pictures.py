@@ -9,12 +9,12 @@ from torch import nn
 from dirl.agent.decisions import answers
 from dirl.envs.rendering import RoomMap
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.recogniser import TemplateStop
 from dirl.reporting.maps import draw_policy
 from dirl.reporting.trajectories import draw_paths, path_actions
 from dirl.runs.checkpoints import Summary
 from dirl.scenes import Scene
-from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.files import atomic_path
 from dirl.scenes.palette import COLORS, GOAL_COLOR
 
 MAX_FRAMES = 60
@@ -50,7 +50,7 @@ def draw_scene(
         facts: of the run, see `dirl.training.build.describe`.
     """
     world, scene = protocol.world, protocol.world.scenes[index]
-    goal_index = world.goals_in(index)[0]
+    goal_index = world.goals_of[index][0]
     file = folder / f"trajectories_{scene.name}.png"
     goal, walked, success, title = draw_paths(policy, protocol, index, file, facts=facts)
     write_gif(scene, goal, walked, folder / f"episode_{scene.name}.gif", title=title, success=success)
@@ -68,7 +68,9 @@ def draw_scene(
 
 
 def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title: str, success: bool) -> None:
-    """Write an episode as an animated GIF, see `episode_frames`.
+    """Write an episode as an animated GIF, a frame a state: present view, goal's view, map with the path.
+
+    Of one that is longer than `MAX_FRAMES` the first states and the last one are shown.
 
     Args:
         scene: where it was walked; without views only the map is shown.
@@ -82,7 +84,18 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
         ValueError: the path is empty or makes a step that the scene's graph does not allow, or the goal is no state
             that can be reached.
     """
-    frames = episode_frames(scene, goal, path, title=title, success=success)
+    scene.check_goal(goal)
+    steps = len(path) - 1
+    actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
+    shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
+    room = RoomMap(scene, goal, (MAP_SIZE, MAP_SIZE), SMOOTH)
+    views = {}
+    if scene.views is not None:
+        for state in {goal, *(path[step] for step in shown)}:
+            view = Image.fromarray(scene.views[state])
+            size = VIEW_WIDTH, round(VIEW_WIDTH * view.height / view.width)
+            views[state] = view.resize(size, Image.Resampling.LANCZOS)
+    frames = [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
     # One palette for all frames and no dithering, so that unchanged regions take no space.
     sample = Image.new("RGB", (frames[0].width, 4 * frames[0].height))
     for row, which in enumerate((0, len(frames) // 2, len(frames) - 1)):
@@ -95,25 +108,6 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
     durations = [FRAME_MS] * (len(frames) - 1) + [HOLD_MS]
     with atomic_path(file) as temporary:
         first.save(temporary, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
-
-
-def episode_frames(scene: Scene, goal: int, path: Sequence[int], *, title: str, success: bool) -> list[Image.Image]:
-    """Return a picture of each state of an episode: present view, goal's view, map with the path; see `write_gif`.
-
-    Of one that is longer than `MAX_FRAMES` the first states and the last one are shown.
-    """
-    scene.check_goal(goal)
-    steps = len(path) - 1
-    actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
-    shown = [*range(min(steps, MAX_FRAMES - 1)), steps]
-    room = RoomMap(scene, goal, (MAP_SIZE, MAP_SIZE), SMOOTH)
-    views = {}
-    if scene.views is not None:
-        for state in {goal, *(path[step] for step in shown)}:
-            view = Image.fromarray(scene.views[state])
-            size = VIEW_WIDTH, round(VIEW_WIDTH * view.height / view.width)
-            views[state] = view.resize(size, Image.Resampling.LANCZOS)
-    return [_frame(views, goal, path, step, actions[step], room, title) for step in shown]
 
 
 def _frame(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.files import atomic_path
 from dirl.scenes.palette import BLUE, VERMILION
 
 GAP, LINE = 6, 18

@@ -13,8 +13,8 @@ from matplotlib.ticker import MultipleLocator
 from PIL import Image
 
 from dirl.scenes import Scene
-from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.palette import GOAL_COLOR, WALL_COLOR
+from dirl.scenes.io.files import atomic_path
+from dirl.scenes.palette import WALL_COLOR
 
 LAID_OUT = "tour, laid out"
 """The source of a scene whose positions are known only by its links."""
@@ -32,16 +32,6 @@ def marker(shape: str, size: float, color: str, edge: str, label: str) -> Line2D
     return Line2D([], [], linestyle="", marker=shape, markersize=size, color=color, markeredgecolor=edge, label=label)
 
 
-def star(size: float, label: str) -> Line2D:
-    """Return the goal's star for a legend."""
-    return marker("*", size, GOAL_COLOR, "black", label)
-
-
-def has_walls(scene: Scene) -> bool:
-    """True if what lies between places is a wall or furniture; of a tour it is not known."""
-    return not scene.source.startswith("tour")
-
-
 def draw_room(axes: Axes, scene: Scene, side: float) -> None:
     """Draw white squares where an agent can be, on the grey of walls and furniture; discs for a tour.
 
@@ -49,7 +39,7 @@ def draw_room(axes: Axes, scene: Scene, side: float) -> None:
     """
     cells = np.unique(scene.positions.round(3), axis=0)
     places: list[Patch]
-    if has_walls(scene):
+    if not scene.source.startswith("tour"):  # of a tour it is not known what lies between places
         places = [Rectangle((x - side / 2, z - side / 2), side, side) for x, z in cells]
         axes.set_facecolor(WALL_COLOR)
         edge, order = "0.9", 1.0

@@ -10,11 +10,10 @@ from hydra.experimental.callback import Callback
 from numpy.typing import NDArray
 from omegaconf import DictConfig
 
-from dirl.config.files import plain_mapping
-from dirl.config.values import leaves
+from dirl.config.files import leaves, plain_mapping
 from dirl.reporting.tables import result_table
 from dirl.runs.checkpoints import Summary
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.files import read_text
 
 FEW = 4
 """Runs of which there is no spread to tell."""

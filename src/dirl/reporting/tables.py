@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from dirl.config.folders import command
 from dirl.runs.checkpoints import Summary
-from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.bounded import read_rows
+from dirl.scenes.io.files import atomic_path, read_rows
 
 # Heading, key in `dirl.evaluation.metrics`, decimals. With labels of 13 characters a table has 80 columns.
 MEASURES = (
@@ -151,7 +150,9 @@ def _heading(summary: Summary) -> str:
     if (rate := summary.get("frames_per_second")) is not None:
         facts.append(f"{rate:,.0f} frames/s")
     if (seconds := summary.get("seconds")) is not None:
-        facts.append(f"{_duration(seconds)} in all")
+        minutes = round(seconds / 60)
+        longer = f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+        facts.append(f"{longer if seconds >= 120 else f'{seconds:.1f} s'} in all")
     if "stable_at_frame" in summary:
         stable = summary["stable_at_frame"]
         facts.append("never stable" if stable is None else f"stable at {stable:,} frames")
@@ -178,13 +179,6 @@ def _number(value: float | None, decimals: int) -> str:
     if value is None or math.isnan(value):
         return "-"
     return format(value, f",.{decimals if value < 100 or not decimals else 1}f")
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def write_goals(measures: Summary, file: Path) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.reporting.style import draw_room, marker, star, write_figure
+from dirl.reporting.style import draw_room, marker, write_figure
 from dirl.reporting.tables import run_title
 from dirl.runs.checkpoints import Summary
 from dirl.scenes import ACTIONS, Scene
@@ -108,7 +108,7 @@ def draw_paths(
         The goal, the path from the farthest start, whether it succeeded, and a title.
     """
     world, scene = protocol.world, protocol.world.scenes[index]
-    goal_index, offset = world.goals_in(index)[0], world.offsets[index]
+    goal_index, offset = world.goals_of[index][0], world.offsets[index]
     distances = world.block(world.distances, goal_index).long()
     order = torch.argsort(distances, descending=True, stable=True)[: int((distances > 0).sum())] + offset
     starts = order[torch.linspace(0, 0.9 * (len(order) - 1), min(EPISODES, len(order))).long()]
@@ -159,7 +159,7 @@ def _draw_map(
     handles.append(marker("o", 7, "0.4", "white", "start; arrows: heading"))
     if not all(success):
         handles.append(marker("X", 10, "0.4", "white", "end of a failed path"))
-    handles.append(star(12, f"goal, state {goal}"))
+    handles.append(marker("*", 12, GOAL_COLOR, "black", f"goal, state {goal}"))
     handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
     return handles
 

@@ -18,8 +18,7 @@ from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import LocalisingMemory, recurrent_keys
-from dirl.perception.recognition.matching import TemplateStop
-from dirl.perception.recognition.tables import described_visits
+from dirl.perception.recognition.recogniser import TemplateStop, described_visits
 from dirl.scenes import ACTIONS, Scene
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 from dirl.scenes.views import encoded_view
@@ -96,7 +95,7 @@ def viewer_pages(
     pages = {}
     for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
         goals = []
-        for row in [row for row in world.goals_in(index) if row in walks[0]]:
+        for row in [row for row in world.goals_of[index] if row in walks[0]]:
             goal = int(world.goals[row]) - offset
             stops = torch.arange(len(scene)) == goal if protocol.stop is None else world.block(protocol.stop, row)
             goals.append(

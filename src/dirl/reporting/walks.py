@@ -14,7 +14,7 @@ from PIL import Image
 
 from dirl.agent.mapping.frames import Found, FrameMap
 from dirl.agent.mapping.graph import MapError
-from dirl.scenes.io.atomic import atomic_path, write_text
+from dirl.scenes.io.files import atomic_path, write_text
 
 MOST_PICTURES = 1200
 """On a page; of a longer map every second frame is shown, or every third."""

@@ -19,9 +19,7 @@ from typing import Annotated, Any
 import torch
 from annotated_types import Ge, MinLen
 
-from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, unpack_tensors
-from dirl.scenes.io.checked import checked
+from dirl.scenes.io.files import MOST_WEIGHTS, atomic_path, checked, read_bytes, unpack_tensors
 from dirl.scenes.scene import SceneError
 
 AGENTS = Path(__file__).parents[1] / "agents"
@@ -62,17 +60,15 @@ class Stated:
     """Right turns in a full circle, in the scenes of the training."""
 
 
+CONFIG_FILE = "config.yaml"
+"""Of a run, by which its folder is recognised."""
+
 TABLES = ("dagger.csv", "evaluation.csv", "imitation.csv", "reinforcement.csv")
 """What a training writes rows to; other files of its folder are left alone."""
 
 
 class RunError(ValueError):
     """A run folder or checkpoint that cannot be used."""
-
-
-def config_file(folder: Path) -> Path:
-    """Return the configuration file, by which a run folder is recognised."""
-    return folder / "config.yaml"
 
 
 def is_finished(folder: Path) -> bool:
@@ -116,8 +112,8 @@ def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
     if others:
         raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
     folder = Path(resume)
-    if not config_file(folder).is_file():
-        raise RunError(f"{folder}: is not the folder of a run; it has no {config_file(folder).name}")
+    if not (folder / CONFIG_FILE).is_file():
+        raise RunError(f"{folder}: is not the folder of a run; it has no {CONFIG_FILE}")
     if is_finished(folder):
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
     return folder
@@ -129,7 +125,7 @@ def finished_folders(folder: Path, hint: str) -> tuple[list[Path], list[Path]]:
     Raises:
         RunError: none is finished; ``hint`` says how to make them.
     """
-    folders = sorted(file.parent for file in folder.glob("*/config.yaml"))
+    folders = sorted(file.parent for file in folder.glob(f"*/{CONFIG_FILE}"))
     finished = [one for one in folders if is_finished(one)]
     if not finished:
         raise RunError(f"{folder}: holds no finished run; make some by: {hint}")

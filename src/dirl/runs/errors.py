@@ -69,8 +69,15 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
         SystemExit: with a status of the table above.
     """
     raised: list[BaseException] = []
+
+    def raise_(number: int, _: object) -> NoReturn:
+        raised.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated())
+        raise raised[-1]
+
+    now = signal.getsignal(signal.SIGINT)
+    own = now is signal.default_int_handler or _is_ours(now)  # somebody else's handler of SIGINT stays
     try:
-        with _signals(_raising(raised)):
+        with _signals(dict.fromkeys(SIGNALS if own else SIGNALS[1:], raise_)):
             try:
                 yield
             except Exception:
@@ -118,18 +125,6 @@ def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> 
     except BrokenPipeError:
         _silence(sys.stderr)
     raise SystemExit(status) from None
-
-
-def _raising(raised: list[BaseException]) -> dict[signal.Signals, Any]:
-    """Return handlers that raise an exception and add it to a list; one for SIGINT of somebody else's stays."""
-
-    def raise_(number: int, _: object) -> NoReturn:
-        raised.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated())
-        raise raised[-1]
-
-    now = signal.getsignal(signal.SIGINT)
-    own = now is signal.default_int_handler or _is_ours(now)
-    return dict.fromkeys(SIGNALS if own else SIGNALS[1:], raise_)
 
 
 def _silence(stream: IO[str]) -> None:

@@ -12,17 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dirl.config.components import packages_to_trust
-from dirl.config.files import config_text, read_config
+from dirl.config.files import config_text, leaves, plain, read_config
 from dirl.config.folders import command
 from dirl.config.schemas import Existing, LoggerName, TrainConfig
-from dirl.config.values import leaves, plain
 from dirl.runs.checkpoints import (
+    CONFIG_FILE,
     SCHEMA,
     TABLES,
     RunError,
     State,
     Summary,
-    config_file,
     find_unfinished,
     is_finished,
     latest_checkpoint,
@@ -30,9 +29,7 @@ from dirl.runs.checkpoints import (
     training_checkpoints,
 )
 from dirl.runs.locks import FolderLock, claim, is_numbered
-from dirl.scenes.io.atomic import remove_unfinished, write_json, write_text
-from dirl.scenes.io.bounded import read_text
-from dirl.scenes.scene import turns_of
+from dirl.scenes.io.files import PREFIX, read_text, write_json, write_text
 from dirl.scenes.world import World
 
 if TYPE_CHECKING:
@@ -96,28 +93,25 @@ class Run:
 
                 self.logger = WandbLogger(self.config, self.folder)
             self._facts = facts(self.config, world, view_order)
-            self._tidy_up()
-            if not config_file(self.folder).exists():
-                write_text(config_file(self.folder), self._facts["config"])
+            # Files of a killed process that this run does not continue from.
+            for file in self._unusable:
+                file.replace(file.with_name(f"{file.name}.damaged"))
+            for file in (*self.folder.glob(f"{PREFIX}*"), *(self.folder / "checkpoints").glob(f"{PREFIX}*")):
+                file.unlink(missing_ok=True)
+            sizes = self.saved["tables"] if self.saved else {}
+            for file in (self.folder / name for name in TABLES):
+                if file.exists():
+                    os.truncate(file, sizes.get(file.name, 0))
+                    with file.open(encoding="utf-8", errors="replace") as stream:
+                        self._tables[file] = next(csv.reader([stream.readline(2**16)]))
+            if not (self.folder / CONFIG_FILE).exists():
+                write_text(self.folder / CONFIG_FILE, self._facts["config"])
         except BaseException:
             self.close()
             if self.folder != asked:
                 with suppress(OSError):
                     self.folder.rmdir()
             raise
-
-    def _tidy_up(self) -> None:
-        """Remove the files of a killed process that this run does not continue from."""
-        for file in self._unusable:
-            file.replace(file.with_name(f"{file.name}.damaged"))
-        remove_unfinished(self.folder)
-        remove_unfinished(self.folder / "checkpoints")
-        sizes = self.saved["tables"] if self.saved else {}
-        for file in (self.folder / name for name in TABLES):
-            if file.exists():
-                os.truncate(file, sizes.get(file.name, 0))
-                with file.open(encoding="utf-8", errors="replace") as stream:
-                    self._tables[file] = next(csv.reader([stream.readline(2**16)]))
 
     def close(self) -> None:
         """Release the folder; the end of the process does so at the latest."""
@@ -127,7 +121,7 @@ class Run:
 
     def how_to_go_on(self) -> str:
         """Return what is safe and how to continue, for the message of a stopped run."""
-        if not config_file(self.folder).exists():
+        if not (self.folder / CONFIG_FILE).exists():
             return "nothing of this run was saved"
         if is_finished(self.folder):
             return f"the run is finished: {self.folder}"
@@ -189,7 +183,7 @@ class Run:
 
     def _check_written(self) -> None:
         """Raise ``FileNotFoundError`` if a file was deleted: of a folder deleted during a write, a part may stay."""
-        for file in (config_file(self.folder), *self._tables):
+        for file in (self.folder / CONFIG_FILE, *self._tables):
             file.stat()
 
     def clean_up(self, summary: Summary) -> None:
@@ -204,7 +198,7 @@ class Run:
 def facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> State:
     """Return what a checkpoint says beside its weights, for everyone who uses them."""
     scenes = {"scenes": list(world.names), "extractor": world.scenes[0].extractor}
-    seen = {"views": list(view_order), "turns": turns_of(world.scenes)}
+    seen = {"views": list(view_order), "turns": world.turns.unique().tolist()}
     return {"config": config_text(config), **scenes, **seen, "schema": SCHEMA}
 
 
@@ -224,7 +218,7 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
         ConfigError: the saved configuration cannot be used.
     """
     if config.resume is None:
-        if not config_file(folder).exists():
+        if not (folder / CONFIG_FILE).exists():
             return Run(folder, config)
         if config.existing == Existing.refuse and is_numbered(folder):
             return Run(folder, config)
@@ -266,7 +260,7 @@ def check_tables(file: Path, state: State) -> None:
 
 def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
     """Return the configuration of a run."""
-    file = config_file(folder)
+    file = folder / CONFIG_FILE
     return read_config(read_text(file, errors="replace"), origin=str(file), trust=trust)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from dirl.runs.checkpoints import RunError, config_file
+from dirl.runs.checkpoints import CONFIG_FILE, RunError
 
 NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 """What file systems answer that have no locks; those that do not know the call at all, ``filelock`` sees to."""
@@ -56,11 +56,8 @@ class FolderLock:
         else:
             with suppress(OSError):  # for people; nothing reads it but the message above
                 file.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
-        self._finalizer = weakref.finalize(self, _release, lock, file, os.getpid())
-
-    def release(self) -> None:
-        """Release the folder for other processes."""
-        self._finalizer()
+        self.release = weakref.finalize(self, _release, lock, file, os.getpid())
+        """To be called: releases the folder for other processes."""
 
 
 def _holder(file: Path) -> str:
@@ -100,7 +97,7 @@ def claim(folder: Path) -> tuple[Path, FolderLock]:
         except RunningError as error:
             problem = error
             continue
-        if not config_file(candidate).exists():
+        if not (candidate / CONFIG_FILE).exists():
             return candidate, lock
         lock.release()
     raise problem

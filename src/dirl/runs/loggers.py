@@ -9,11 +9,10 @@ from typing import Literal
 
 import wandb
 
+from dirl.config.files import leaves, plain
 from dirl.config.schemas import ConfigError, TrainConfig
-from dirl.config.values import leaves, plain
 from dirl.runs.checkpoints import Summary
-from dirl.scenes.io.atomic import write_text
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.files import read_text, write_text
 
 
 class WandbLogger:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from dirl.scenes.io.checked import check_choice
+from dirl.scenes.io.files import check_choice
 from dirl.scenes.io.read import ROOMS, Dump, read_dumps
 from dirl.scenes.scene import Scene, SceneError
 
@@ -40,17 +40,11 @@ class Rooms:
     label = "rooms"
     """The source of its scenes."""
 
-    def folder(self) -> Path:
-        """Holds the dumps."""
-        return ROOMS
+    folder = ROOMS
+    """Holds the dumps."""
 
     def load(self, names: list[str]) -> list[Scene]:
         """Return the scenes of these names or files."""
-        scenes = read_dumps(self.find(names))
-        return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
-
-    def find(self, names: Sequence[str]) -> list[Dump]:
-        """Return the dumps of scenes, not read yet."""
         if not names:
             raise SceneError("no scene is named; choose e.g. scene=bathroom_02")
         if "all" in names:
@@ -62,12 +56,13 @@ class Rooms:
             if _is_file(name):
                 found.append(Dump(Path(name), source=None if self.label == "rooms" else self.label))
                 continue
-            path = self.folder() / f"{name}.h5"
+            path = self.folder / f"{name}.h5"
             if not path.is_file():
-                known = sorted(path.stem for path in self.folder().glob("*.h5"))
+                known = sorted(path.stem for path in self.folder.glob("*.h5"))
                 check_choice(name, [*known, "all", "a list of them", "<a dump>.h5"], "", "scene")
             found.append(Dump(path, name=name, source=self.label))
-        return found
+        scenes = read_dumps(found)
+        return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
 
 
 class Thor(Rooms):
@@ -82,13 +77,15 @@ class Thor(Rooms):
     def __init__(self, root: str | None = None) -> None:
         self.root = root
 
-    def folder(self) -> Path:
-        """Holds the dumps; `SceneError` if there is none."""
-        if self.root is None:
-            raise SceneError("source=thor needs the folder of your dumps: source.root=/path/to/dumps")
-        if not Path(self.root).is_dir():
-            raise SceneError(f"source.root={self.root}: there is no such folder")
-        return Path(self.root)
+    def load(self, names: list[str]) -> list[Scene]:
+        """Return the scenes of these names or files; `SceneError` if there is no folder to look a name up."""
+        if not all(map(_is_file, names)):
+            if self.root is None:
+                raise SceneError("source=thor needs the folder of your dumps: source.root=/path/to/dumps")
+            self.folder = Path(self.root)
+            if not self.folder.is_dir():
+                raise SceneError(f"source.root={self.root}: there is no such folder")
+        return super().load(names)
 
 
 def load_scenes(

@@ -1,7 +1,6 @@
 """A scene: one room as a graph of states, each a location and a heading with one camera view."""
 
 import re
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -18,7 +17,6 @@ from dirl.scenes.graph import (
     check_graph,
     shortest_distances,
     surrounding_states,
-    turns_per_circle,
 )
 from dirl.scenes.views import FileViews, Views, check_image
 
@@ -96,7 +94,12 @@ class Scene:
         headings = self._array("rotation", self.headings, np.number, (states,)).astype(np.float64)
         arrays: dict[str, np.ndarray] = {"graph": graph, "positions": positions, "headings": headings}
         if self.features is not None:
-            arrays["features"] = self._checked_features(np.asarray(self.features), states)
+            features = np.asarray(self.features)
+            if np.issubdtype(features.dtype, np.floating):
+                with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
+                    kind = np.float16 if features.dtype == np.float16 else np.float32
+                    features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
+            arrays["features"] = self._array("resnet_feature", features, np.floating, (states, None))
         if self.patches is not None:
             arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
         if self.along is not None:
@@ -196,13 +199,6 @@ class Scene:
         if not self._entered[goal]:
             raise SceneError(f"{self.origin}: goal {goal} cannot be reached from any other state")
 
-    def _checked_features(self, features: np.ndarray, states: int) -> np.ndarray:
-        if np.issubdtype(features.dtype, np.floating):
-            with np.errstate(over="ignore"):  # what overflows is found by the check for finite values
-                kind = np.float16 if features.dtype == np.float16 else np.float32
-                features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
-        return self._array("resnet_feature", features, np.floating, (states, None))
-
     def _array(self, name: str, value: object, kind: type, shape: tuple[int | None, ...]) -> np.ndarray:
         array = np.asarray(value)
         if not np.issubdtype(array.dtype, kind):
@@ -254,17 +250,6 @@ def check_name(name: str, origin: str) -> None:
         )
 
 
-def check_goals_differ(name: str, goals: Sequence[int]) -> None:
-    """Raise `SceneError` if a goal of a scene of that name is given twice."""
-    if len(set(goals)) < len(goals):
-        raise SceneError(f"{name}: a goal is named twice in {list(goals)}")
-
-
 def _read_only(array: A) -> A:
     array.setflags(write=False)
     return array
-
-
-def turns_of(scenes: Iterable[Scene]) -> list[int]:
-    """Return how many right turns make a full circle in the scenes, each number once."""
-    return sorted({turns_per_circle(scene.graph) for scene in scenes})

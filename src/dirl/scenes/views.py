@@ -14,7 +14,7 @@ from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from dirl.scenes.errors import SceneError
-from dirl.scenes.io.bounded import read_bytes
+from dirl.scenes.io.files import read_bytes
 
 MAX_PIXELS = 2**24
 """Of a view; larger ones are refused before they are unpacked."""

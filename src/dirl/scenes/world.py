@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.scenes.graph import RIGHT, shortest_distances, turns_per_circle
-from dirl.scenes.scene import Scene, SceneError, check_goals_differ, check_name
+from dirl.scenes.scene import Scene, SceneError, check_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +22,12 @@ class World:
     """
 
     scenes: tuple[Scene, ...]
+    names: tuple[str, ...]
+    """Those of the scenes."""
     offsets: tuple[int, ...]
     """The first state of each scene."""
+    looks: int
+    """How many looks each state has, L; one if the world never changes."""
     graph: Tensor
     """Next state, int64 ``[N, 4]``; a blocked move leads back to the state itself."""
     surrounding: Tensor
@@ -42,7 +46,11 @@ class World:
     turns: Tensor
     """The right turns in a full circle of each scene, int64 ``[S]``: 4 if a turn is 90 degrees, 12 if it is 30."""
     goals: Tensor
-    """The goal states, int64 ``[G]``."""
+    """The goal states, scene by scene, int64 ``[G]``."""
+    goals_of: tuple[range, ...]
+    """The places in ``goals`` of those of each scene."""
+    goal_index: Tensor
+    """The place in ``goals`` of each state, int64 ``[N]``; -1 where it is none."""
     distances: Tensor
     """Fewest actions for each pair of a goal and a state of its scene, int16 ``[P]``; -1 where it cannot be reached.
 
@@ -55,37 +63,15 @@ class World:
         """Return the number of states."""
         return len(self.graph)
 
-    @property
-    def looks(self) -> int:
-        """How many looks each state has, L; one if the world never changes."""
-        return len(self.features) // len(self)
-
     def pictures(self, scene: int) -> Tensor:
         """Return the view ids of one scene, look by look, int64 ``[L * n]``."""
         states = torch.arange(len(self.scenes[scene]), device=self.device) + self.offsets[scene]
         return torch.cat([states + look * len(self) for look in range(self.looks)])
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The scenes' names."""
-        return tuple(scene.name for scene in self.scenes)
-
-    @property
-    def source(self) -> str:
-        """The origin of the scenes: ``rooms``, ``synthetic``, ``thor``, or several of them."""
-        return "+".join(sorted({scene.source for scene in self.scenes}))
-
-    @property
     def device(self) -> torch.device:
         """Where the tensors are."""
         return self.graph.device
-
-    @property
-    def goal_index(self) -> Tensor:
-        """The place in ``goals`` of each state, int64 ``[N]``; -1 where it is none."""
-        index = torch.full((len(self),), -1, device=self.device)
-        index[self.goals] = torch.arange(len(self.goals), device=self.device)
-        return index
 
     @property
     def possible(self) -> Tensor:
@@ -132,17 +118,13 @@ class World:
         first = int(self.row[goal_index]) + self.offsets[scene]
         return table[first : first + len(self.scenes[scene])]
 
-    def goals_in(self, scene: int) -> list[int]:
-        """Return the places in ``goals`` of those in one scene, given by its place in ``scenes``."""
-        return torch.nonzero(self.scene_of[self.goals] == scene).flatten().tolist()
-
     def local_goals(self, scene: int) -> Tensor:
         """Return the goals of one scene, given by its place in ``scenes``, as its own states, int64 ``[g]``."""
-        return self.goals[self.goals_in(scene)] - self.offsets[scene]
+        return self.goals[self.goals_of[scene].start : self.goals_of[scene].stop] - self.offsets[scene]
 
     def with_goals(self, goals: "Goals") -> "World":
         """Return the same scenes with other goals, see `make_world`; what does not depend on goals is shared."""
-        return replace(self, **_goal_tables(self.scenes, self.offsets, _goals(self.scenes, goals))).to(self.device)
+        return replace(self, **_goal_tables(self.scenes, self.offsets, goals)).to(self.device)
 
     def to(self, device: torch.device | str) -> "World":
         """Return the same world with its tensors on a device."""
@@ -188,17 +170,29 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
                 f"'{scene.extractor}' ({scene.features.shape[1]} wide) and "
                 f"'{first.extractor}' ({first.features.shape[1]} wide)"
             )
-    chosen = _goals(scenes, goals)
+    counts = sorted({scene.looks for scene in scenes})
+    if len(counts) > 1 and counts[:-1] != [1]:
+        raise SceneError(f"the scenes have different numbers of looks, {counts}; make them with one or as many")
+    looks = counts[-1]  # a scene of one look shows it at every visit
     sizes = [len(scene) for scene in scenes]
     offsets = tuple(int(offset) for offset in np.cumsum([0, *sizes[:-1]]))
+    of_goals = _goal_tables(scenes, offsets, goals)
     parts = list(zip(scenes, offsets, strict=True))
     graphs = [np.where(s.graph < 0, np.arange(len(s))[:, None], s.graph) + offset for s, offset in parts]
-    looks = _looks(scenes)
     features = np.concatenate(_look_by_look(scenes, "features", looks), dtype=np.float32)
+    shared = []
+    for scene, offset in parts:
+        # In place of its own features a scene gets its part of the world's: those of 1,000 rooms take a gigabyte.
+        own = features[offset : offset + len(scene)]
+        own.setflags(write=False)
+        shared.append(copy.copy(scene))
+        object.__setattr__(shared[-1], "features", own)  # of the same values, so that nothing is to be checked again
     along = [scene.along for scene in scenes if scene.along is not None]
     return World(
-        scenes=tuple(_sharing(scene, features[offset : offset + len(scene)]) for scene, offset in parts),
+        scenes=tuple(shared),
+        names=tuple(names),
         offsets=offsets,
+        looks=looks,
         graph=torch.from_numpy(np.concatenate(graphs)),
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
         features=torch.from_numpy(features),
@@ -206,24 +200,8 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         along=torch.from_numpy(np.concatenate(along, dtype=np.float32)) if len(along) == len(scenes) else None,
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         turns=torch.tensor([turns_per_circle(scene.graph) for scene in scenes]),
-        **_goal_tables(scenes, offsets, chosen),
+        **of_goals,
     )
-
-
-def _sharing(scene: Scene, features: NDArray[np.float32]) -> Scene:
-    """The scene with a part of the world's features in place of its own: those of 1,000 rooms take a gigabyte."""
-    shared, part = copy.copy(scene), features.view()
-    part.setflags(write=False)
-    object.__setattr__(shared, "features", part)  # of the same values, so that nothing is to be checked again
-    return shared
-
-
-def _looks(scenes: Sequence[Scene]) -> int:
-    """Return how many looks every state has in the world; a scene of one look shows it at every visit."""
-    counts = sorted({scene.looks for scene in scenes})
-    if len(counts) > 1 and counts[:-1] != [1]:
-        raise SceneError(f"the scenes have different numbers of looks, {counts}; make them with one or as many")
-    return counts[-1]
 
 
 def _look_by_look(scenes: Sequence[Scene], name: str, looks: int) -> list[NDArray[np.floating]]:
@@ -246,24 +224,8 @@ def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
     return torch.from_numpy(np.concatenate(_look_by_look(scenes, "patches", looks)))
 
 
-def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], chosen: Sequence[tuple[int, ...]]) -> dict[str, Any]:
-    """Return the fields of a world that depend on its goals, by name."""
-    blocks, toward, rows, pairs = [], [], [], 0
-    for scene, offset, states in zip(scenes, offsets, chosen, strict=True):
-        if scene.toward is not None:
-            toward.append(scene.toward[:, :, states].swapaxes(1, 2).reshape(2, -1))
-        blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())
-        rows += [pairs + place * len(scene) - offset for place in range(len(states))]
-        pairs += len(states) * len(scene)
-    return {
-        "goals": torch.tensor([g + offset for goal, offset in zip(chosen, offsets, strict=True) for g in goal]),
-        "distances": torch.from_numpy(np.concatenate(blocks)),
-        "toward": torch.from_numpy(np.concatenate(toward, 1)) if len(toward) == len(scenes) else None,
-        "row": torch.tensor(rows),
-    }
-
-
-def _goals(scenes: Sequence[Scene], goals: Goals) -> list[tuple[int, ...]]:
+def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], goals: Goals) -> dict[str, Any]:
+    """Return the fields of a world that depend on its goals, by name; see `make_world`."""
     names = [scene.name for scene in scenes]
     if goals is not None and not isinstance(goals, Mapping):
         if len(scenes) > 1:
@@ -272,14 +234,30 @@ def _goals(scenes: Sequence[Scene], goals: Goals) -> list[tuple[int, ...]]:
     unknown = sorted(set(goals or {}) - set(names))
     if unknown:
         raise SceneError(f"goals are given for '{unknown[0]}', which is not among the scenes {names}")
-    chosen = []
-    for scene in scenes:
+    chosen, goals_of, blocks, toward, rows, pairs = list[int](), list[range](), [], [], [], 0
+    for scene, offset in zip(scenes, offsets, strict=True):
         given = (goals or {}).get(scene.name, scene.goals)
-        states = tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
+        states = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
         if not states:
             raise SceneError(f"{scene.origin}: names no goals; choose some, e.g. goals=[0,{len(scene) // 2}]")
         for goal in states:
             scene.check_goal(goal)
-        check_goals_differ(scene.name, states)
-        chosen.append(states)
-    return chosen
+        if len(set(states)) < len(states):
+            raise SceneError(f"{scene.name}: a goal is named twice in {states}")
+        if scene.toward is not None:
+            toward.append(scene.toward[:, :, states].swapaxes(1, 2).reshape(2, -1))
+        goals_of.append(range(len(chosen), len(chosen) + len(states)))
+        chosen += [goal + offset for goal in states]
+        blocks.append(shortest_distances(scene.graph, np.array(states)).T.astype(np.int16).ravel())
+        rows += [pairs + place * len(scene) - offset for place in range(len(states))]
+        pairs += len(states) * len(scene)
+    goal_index = torch.full((sum(map(len, scenes)),), -1)
+    goal_index[chosen] = torch.arange(len(chosen))
+    return {
+        "goals": torch.tensor(chosen),
+        "goals_of": tuple(goals_of),
+        "goal_index": goal_index,
+        "distances": torch.from_numpy(np.concatenate(blocks)),
+        "toward": torch.from_numpy(np.concatenate(toward, 1)) if len(toward) == len(scenes) else None,
+        "row": torch.tensor(rows),
+    }

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.io.checked import check_choice
+from dirl.scenes.io.files import check_choice
 from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 

@@ -32,8 +32,7 @@ from annotated_types import Ge, Le
 from PIL import ExifTags, Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
-from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.checked import check_choice, checked, inside, read_csv
+from dirl.scenes.io.files import atomic_path, check_choice, checked, inside, read_csv
 from dirl.scenes.scene import LARGEST, Scene, SceneError, check_name
 from dirl.scenes.views import encode, natural_order, open_photo, to_rgb
 

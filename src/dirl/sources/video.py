@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dirl.scenes.io.bounded import FREELY_UNPACKED, MOST_RATIO
-from dirl.scenes.io.isolation import SECONDS, SECONDS_A_MEGABYTE, environment, limit, why_ended
+from dirl.scenes.io.files import FREELY_UNPACKED, MOST_RATIO
+from dirl.scenes.io.read import SECONDS, SECONDS_A_MEGABYTE, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
 

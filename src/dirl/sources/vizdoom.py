@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from dirl.scenes.io.bounded import open_regular
+from dirl.scenes.io.files import open_regular
 from dirl.scenes.io.processes import end_with_this_process
 from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError

@@ -37,14 +37,18 @@ from dirl.models.build import (
     turns_of_training,
 )
 from dirl.perception.backbones.registry import encoded_as
-from dirl.perception.recognition.build import build_recogniser, matching, set_memory_threshold
-from dirl.perception.recognition.matching import ScoreFunction, StopRule
-from dirl.perception.recognition.tables import VisitScores
+from dirl.perception.recognition.recogniser import (
+    ScoreFunction,
+    StopRule,
+    VisitScores,
+    build_recogniser,
+    matching,
+    set_memory_threshold,
+)
 from dirl.runs.checkpoints import ARCHITECTURE, Facts, State, load_checkpoint
 from dirl.scenes import Scene, SceneError, load_scenes
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
-from dirl.scenes.scene import turns_of
 from dirl.scenes.world import Goals, World, make_world
 from dirl.training.objectives import (
     ImitationLoss,
@@ -317,7 +321,7 @@ def describe(config: TrainConfig, world: World) -> Facts:
     names = world.names
     return {
         "scene": names[0] if len(names) == 1 else list(names),
-        "source": world.source,
+        "source": "+".join(sorted({scene.source for scene in world.scenes})),
         "system": config.system,
         "preset": config.preset,
         "seed": config.seed,
@@ -356,7 +360,7 @@ def load_trained(
     config = saved_config(saved, origin, changes, trust)
     if world is None:
         world = build_world(config, saved["extractor"])
-    tell_of_turns(turns_of_training(saved), turns_of(world.scenes), origin)
+    tell_of_turns(turns_of_training(saved), world.turns.unique().tolist(), origin)
     held_out = build_goals(config, world.scenes).held_out
     if changes and changes.get("seed") is not None:
         config = replace(config, seed=changes["seed"])

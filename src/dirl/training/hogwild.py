@@ -158,8 +158,8 @@ def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> 
             if failed or not loop.goes_on:
                 shared.stopped.set()
             try:
-                names, told = ready.recv()
-                yield Report(names, torch.from_numpy(told))
+                names, frames, told = ready.recv()
+                yield Report(names, frames, torch.from_numpy(told))
             except EOFError:
                 worker = listening.pop(ready)
                 worker.join()
@@ -199,7 +199,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
             break
         set_learning_rate(optimiser, rate * left)
         fetch(shared, policy)
-        with caching(policy):
+        with caching(policy, learns=True):
             batch, agents = collect(env, operator, agents, options.n_steps)
             batch = advantages(bootstrap(compute_losses.rewarded(batch), critic))
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
@@ -212,8 +212,8 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
                 optimiser.step()
                 if several:
                     fetch(shared, policy)
-        names, told = report(env, batch, losses.set("gradient_norm", norm).detach())
-        sender.send((names, told.numpy()))
+        names, frames, told = report(env, batch, losses.set("gradient_norm", norm).detach())
+        sender.send((names, frames, told.numpy()))
 
 
 def claim(shared: Shared, frames: int, total: int) -> float | None:

@@ -15,18 +15,17 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from dirl.config.components import check_components, packages_to_trust
+from dirl.config.files import typed
 from dirl.config.folders import command
 from dirl.config.schemas import Device, Precision, Starts
-from dirl.config.values import typed
-from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess, mean_shortest
-from dirl.models import ActorCritic, count_parameters, plain_weights
-from dirl.perception.recognition.build import matching
+from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess
+from dirl.models import ActorCritic, plain_weights
+from dirl.perception.recognition.recogniser import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.checkpoints import Facts, RunError, State, is_finished, load_checkpoint, restoring
 from dirl.runs.errors import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
-from dirl.scenes.io.atomic import write_json
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.files import read_text, write_json
 from dirl.scenes.live import SimulatorError
 from dirl.scenes.world import World
 from dirl.training.build import (
@@ -149,7 +148,7 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
     features = None if like is None or weights is not None else like.policy.features
     policy = learning_policy(run.config, world, observation, weights, features)
     demos = build_demonstrations(run.config, world, observation)
-    losses = build_losses(run.config, policy, world, demos) if count_parameters(policy) else None
+    losses = build_losses(run.config, policy, world, demos) if trained_parameters(policy) else None
     goals = build_goals(run.config, world.scenes)
     if like is None or run.config.evaluation.starts != Starts.every:
         protocol = build_protocol(run.config, world, observation, goals.held_out)
@@ -172,7 +171,7 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
 def tell_of_far_goals(world: World) -> None:
     """Print a line for each scene with goals that most states cannot reach: their success rates say little."""
     for index, scene in enumerate(world.scenes):
-        goals = zip(world.local_goals(index).tolist(), world.goals_in(index), strict=True)
+        goals = zip(world.local_goals(index).tolist(), world.goals_of[index], strict=True)
         reached = {goal: int((world.block(world.distances, number) >= 0).sum()) for goal, number in goals}
         if few := [
             f"{goal} (from {count} of {len(scene)})" for goal, count in reached.items() if 2 * count < len(scene)
@@ -184,7 +183,9 @@ def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationPro
     """Return the state of a reinforcement before its first update, or from the checkpoint that the run continues."""
     optimiser = build_optimiser(run.config, policy, losses)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
-    meter = EpisodeMeter(mean_shortest(protocol.world))
+    world = protocol.world
+    to_goals = [world.block(world.distances, goal) for goal in range(len(world.goals))]
+    meter = EpisodeMeter([steps[steps > 0].double().mean().item() for steps in to_goals])
     trained = trained_parameters(policy, losses)
     state = TrainState(run.config, policy, losses, trained, optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
@@ -204,7 +205,7 @@ def run_stages(run: Run, components: Components, stages: Stages) -> Facts:
         torch.manual_seed(run.config.seed)
     facts = describe(run.config, protocol.world) | {"demonstrations": len(components.demos)}
     print(f"{run_title(facts)}: {run.folder}")
-    if not count_parameters(policy):
+    if not trained_parameters(policy):
         summary = facts | {"frames": 0, "seconds": run.seconds} | assess(policy, protocol)
         write_json(run.folder / "summary.json", summary)
         print(summary_table(summary))

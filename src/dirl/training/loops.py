@@ -23,7 +23,7 @@ from torchrl.envs import EnvBase
 from tqdm import tqdm
 
 from dirl.config.schemas import TrainConfig, Until
-from dirl.evaluation.episodes import bar_interval
+from dirl.evaluation.episodes import BAR_SECONDS
 from dirl.evaluation.experts import label
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, metrics
 from dirl.models import ActorCritic, plain_weights
@@ -34,7 +34,7 @@ from dirl.runs.folder import Run
 from dirl.training.build import build_env, build_expert, build_imitation_loss
 from dirl.training.objectives import Losses, demonstration_batches
 from dirl.training.pairs import Demonstrations, with_labels
-from dirl.training.rollout import Report, Update, collect
+from dirl.training.rollout import Report, collect
 
 ROWS = 200
 """Rows of reinforcement.csv, evenly spread over the training."""
@@ -73,16 +73,6 @@ class TrainState:
         """What the summary of a run says of its reinforcement."""
         stable = {"stable_at_frame": self.meter.stable_at, "near_shortest_at_frame": self.meter.near_at}
         return {"frames": self.frames, "frames_per_second": self.frames / self.seconds, **stable}
-
-    def prepared(self, update: Callable[[], Any]) -> Callable[[], Any]:
-        """Return the update as it is; see `dirl.training.stacked.Stack`, which makes a CUDA graph of it."""
-        return update
-
-    def count(self, update: Update, seconds: float) -> None:
-        """Count an update that took so many seconds."""
-        self.seconds += seconds
-        self.frames += update.frames
-        self.meter.add(update.goal_index, update.steps, self.frames)
 
     def state_dict(self) -> State:
         """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
@@ -156,18 +146,6 @@ class Imitation:
         options = self.run.config.imitation
         return self.step - self.first < options.max_steps and self.loss >= options.loss_threshold
 
-    @property
-    def lr(self) -> float:
-        """The learning rate of the next step: constant, or with ``imitation.lr_decay`` linearly to zero; zero after."""
-        options = self.run.config.imitation
-        done = (self.step - self.first) / options.max_steps if options.lr_decay else 0
-        return options.lr * (1 - done) if self.goes_on else 0.0
-
-    def record(self, loss: float, accuracy: float) -> None:
-        """Count a step, and write its metrics."""
-        self.loss, self.accuracy, self.step = loss, accuracy, self.step + 1
-        self.run.write("imitation", self.step, {"step": self.step, "loss": self.loss, "accuracy": self.accuracy})
-
     def state_dict(self) -> State:
         """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
         return {
@@ -194,8 +172,6 @@ class ImitationSteps:
     members: Sequence[Imitation]
     optimiser: Any
     """Of the run, or of all."""
-    prepared: Callable[[Callable[[], Tensor]], Callable[[], Tensor]]
-    """See `TrainState.prepared`."""
     bar: tqdm
     signals: list[int]
     """Signals that ask the loop to end."""
@@ -207,8 +183,16 @@ class ImitationSteps:
 
     @property
     def lr(self) -> Tensor:
-        """The learning rates of the next step, of each run; of one that is done it is 0."""
-        return torch.tensor([member.lr for member in self.members], dtype=torch.float64)
+        """The learning rates of the next step, of each run: constant, or with ``imitation.lr_decay`` linearly to zero.
+
+        Of a run that is done it is 0.
+        """
+        rates = []
+        for member in self.members:
+            options = member.run.config.imitation
+            done = (member.step - member.first) / options.max_steps if options.lr_decay else 0
+            rates.append(options.lr * (1 - done) if member.goes_on else 0.0)
+        return torch.tensor(rates, dtype=torch.float64)
 
     def record(self, told: Tensor) -> None:
         """Count a step of loss and accuracy ``[2]``, or ``[2, R]``; write its metrics, save when it is time to.
@@ -221,7 +205,10 @@ class ImitationSteps:
                 at = f"a loss of {own[0]} at step {member.step}"
                 raise RunError(f"the imitation has diverged: {at}; lower imitation.lr")
             if member.goes_on:
-                member.record(*own)
+                member.loss, member.accuracy = own
+                member.step += 1
+                row = {"step": member.step, "loss": member.loss, "accuracy": member.accuracy}
+                member.run.write("imitation", member.step, row)
         self.bar.update()
         if not self.members[0].first and (any(own.run.save_due() for own in self.members) or self.signals):
             for member in self.members:
@@ -244,12 +231,12 @@ def imitation_steps(
         if run.saved is not None and "imitation" in run.saved and not first:
             with restoring(run.folder):
                 members[-1].load_state_dict(run.saved)
-    options, every = runs[0].config.imitation, bar_interval()
+    options = runs[0].config.imitation
     done, hidden = members[0].step - first, not options.sampled
-    bar = tqdm(total=options.max_steps, initial=done, unit=" steps", mininterval=every, disable=hidden)
+    bar = tqdm(total=options.max_steps, initial=done, unit=" steps", mininterval=BAR_SECONDS, disable=hidden)
     optimiser = policy.joined([own.optimiser for own in members], apart=True) if stacked else members[0].optimiser
     with interruptible() as signals, bar:
-        yield ImitationSteps(members, optimiser, policy.prepared if stacked else lambda step: step, bar, signals)
+        yield ImitationSteps(members, optimiser, bar, signals)
     if signals:
         leave("interrupted", 128 + signals[0], lambda: how_to_go_on(runs))
     learned = f"{sum(own.accuracy for own in members) / len(members):.1%} of the actions learned"
@@ -304,7 +291,7 @@ class Updates:
         if self.state.stacked and told.is_cuda:
             told, arrived = told.to("cpu", non_blocking=True), torch.cuda.Event()
             arrived.record()
-        self.unread.append((Report(report.names, told), self.frames, arrived))
+        self.unread.append((report._replace(told=told), self.frames, arrived))
         evaluates = due(before, self.frames, self.total, config.evaluation.times)
         self._read(1 if arrived is not None and not evaluates and not self.done else 0)
         # The end of many runs comes right after: their checkpoints would take longer than what they save.
@@ -332,12 +319,13 @@ class Updates:
             reports, now = report.read(), time.perf_counter()
             for run, state, own in zip(self.runs, self.members, reports, strict=True):
                 before, meter = state.frames, state.meter
-                state.count(own, now - self.began)
+                state.seconds += now - self.began
+                state.frames += own.frames
+                meter.add(own.goal_index, own.steps, state.frames)
                 if due(before, frames, self.total, ROWS):
                     rate = state.optimiser.defaults["lr"] * (1 - before / self.total)
                     row = {"frames": frames, "seconds": state.seconds, "frames_per_second": frames / state.seconds}
-                    row |= {"atl": meter.atl, "atl_worst_goal": meter.worst_atl, "episodes": meter.episodes}
-                    row |= {"sr": meter.success_rate(config.reinforcement.max_steps), "lr": rate}
+                    row |= {**meter.measures(config.reinforcement.max_steps), "lr": rate}
                     run.write("reinforcement", frames, row | own.values)
             self.began = now
 
@@ -358,7 +346,7 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
         initial=frames * len(runs),
         unit=" frames",
         unit_scale=True,
-        mininterval=bar_interval(),
+        mininterval=BAR_SECONDS,
     )
     state.left.fill_(1 - frames / total)
     with interruptible() as signals, bar:

@@ -72,13 +72,10 @@ class Losses(nn.Module):
         self.trunk = policy.trunk()
         self.modules_by_name = nn.ModuleDict({name: loss.module for name, loss in losses.items()})
         self.losses = dict(losses)
+        self.on_rollouts = any(not loss.on_demonstrations for loss in losses.values())
+        """True if any loss needs rollouts."""
         self.recurrent = recurrent_keys(policy)
         self.draw = demonstration_batches(policy, demonstrations, batch_size)
-
-    @property
-    def on_rollouts(self) -> bool:
-        """True if any loss needs rollouts."""
-        return any(not loss.on_demonstrations for loss in self.losses.values())
 
     def forward(self, batch: TensorDictBase, left: float | Tensor) -> TensorDict:
         """Return the weighted losses of a batch.

@@ -65,13 +65,10 @@ class Report(NamedTuple):
 
     names: list[str]
     """Of the values."""
+    frames: int
+    """F, of each run."""
     told: Tensor
     """K values of each run; then which of its F steps end an episode, their goals and lengths, ``[R, K + 3F]``."""
-
-    @property
-    def frames(self) -> int:
-        """F, of each run."""
-        return (self.told.shape[1] - len(self.names)) // 3
 
     def read(self) -> list[Update]:
         """Return the report of each run."""
@@ -98,4 +95,4 @@ def report(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Repor
     after = batch["next"]
     ends = [after["done"].squeeze(-1), env.base_env.goal_index[after["goal"]], after["step_count"].squeeze(-1)]
     over = [end.mT.flatten(1).float() for end in ends]  # in the order they ended; whole numbers, which stay exact
-    return Report([*told], torch.cat([torch.stack([*told.values()], 1), *over], 1))
+    return Report([*told], over[0].shape[1], torch.cat([torch.stack([*told.values()], 1), *over], 1))

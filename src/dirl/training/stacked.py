@@ -29,14 +29,14 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from dirl.agent.decisions import observe
 from dirl.config.components import TARGET, class_parameters, find_class
+from dirl.config.files import leaves
 from dirl.config.schemas import Device, Schedule, TrainConfig, Until
-from dirl.config.values import leaves
 from dirl.evaluation.episodes import EvaluationProtocol
 from dirl.models.distinct import Cacheable, reading_waits
 from dirl.models.policy import VIEW_IDS, in_scene
 from dirl.runs.checkpoints import Facts, is_finished
 from dirl.runs.folder import Run
-from dirl.scenes.io.bounded import read_text
+from dirl.scenes.io.files import read_text
 from dirl.training.build import build_env, build_imitation_loss, build_losses, check_device, describe
 from dirl.training.job import Components, Stages, build_components, conclude, open_job, run_stages
 from dirl.training.loops import TrainState, updates

@@ -22,11 +22,10 @@ from dirl.evaluation.maps import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import LocalisingMemory
 from dirl.models.localising import Places
-from dirl.perception.recognition.matching import TemplateStop
-from dirl.perception.recognition.tables import VisitScores
+from dirl.perception.recognition.recogniser import TemplateStop, VisitScores
 from dirl.scenes import make_world
 from dirl.scenes.graph import AHEAD, BACK
-from dirl.scenes.io.atomic import sealed
+from dirl.scenes.io.files import sealed
 
 SIZE = {"feature_width": 64, "patches": True, "looks": 3}
 

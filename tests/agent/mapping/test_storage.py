@@ -7,7 +7,7 @@ from rooms import grid_scene
 
 from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
 from dirl.agent.mapping.walks import explore
-from dirl.scenes.io.atomic import sealed
+from dirl.scenes.io.files import sealed
 
 
 @pytest.fixture

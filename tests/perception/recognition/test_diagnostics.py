@@ -9,7 +9,7 @@ from rooms import grid_scene, renumbered
 
 from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.perception.recognition.learned import Learned
-from dirl.perception.recognition.matching import TemplateStop
+from dirl.perception.recognition.recogniser import TemplateStop
 from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import SceneError, read_dump, write_dump
 from dirl.scenes.views import encode

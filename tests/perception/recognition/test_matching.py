@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rooms import grid_scene
 
-from dirl.perception.recognition.matching import TemplateStop, ncc
+from dirl.perception.recognition.recogniser import TemplateStop, ncc
 from dirl.scenes import make_world
 
 NUMBER = st.floats(-5, 5, allow_nan=False, width=32)

@@ -6,8 +6,7 @@ from rooms import grid_scene
 
 from dirl.agent.cameras import compare
 from dirl.perception.recognition import NCC, Learned
-from dirl.perception.recognition.recogniser import panorama_odds
-from dirl.perception.recognition.tables import VisitScores, described_visits
+from dirl.perception.recognition.recogniser import VisitScores, described_visits, panorama_odds
 from dirl.scenes import make_world
 
 BOTH = pytest.mark.parametrize("kind", [NCC, Learned])

@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from dirl.scenes.io.atomic import atomic_path, write_json, write_text
+from dirl.scenes.io.files import atomic_path, write_json, write_text
 
 
 def test_a_file_appears_whole_with_usual_permissions_and_nothing_beside_it(tmp_path):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from dirl.scenes import SceneError
-from dirl.scenes.io.bounded import read_arrays, read_rows
-from dirl.scenes.io.checked import inside
+from dirl.scenes.io.files import inside, read_arrays, read_rows
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/abs/secret.png", "link.png"])
@@ -50,7 +49,7 @@ def test_arrays_are_read_unless_they_unpack_to_far_more_than_they_are(tmp_path, 
     file = tmp_path / "a.npz"
     np.savez_compressed(file, values=np.arange(6).reshape(2, 3), zeros=np.zeros(100_000))
     assert read_arrays(file)["values"].tolist() == [[0, 1, 2], [3, 4, 5]]
-    monkeypatch.setattr("dirl.scenes.io.bounded.FREELY_UNPACKED", 2**19)
+    monkeypatch.setattr("dirl.scenes.io.files.FREELY_UNPACKED", 2**19)
     with pytest.raises(ValueError, match=r"a\.npz: .* bytes would unpack to 800\d\d\d"):
         read_arrays(file)
     file.write_bytes(file.read_bytes()[:-30])

@@ -9,7 +9,7 @@ from refusals import refused
 from rooms import grid_scene, published_dump, read_here
 
 from dirl.scenes import load_scenes, read_dump, write_dump
-from dirl.scenes.io import isolation
+from dirl.scenes.io import read as isolation
 
 ARRAYS = ("graph", "positions", "headings", "features", "patches", "look_features", "look_patches")
 

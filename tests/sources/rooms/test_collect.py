@@ -14,7 +14,7 @@ from dirl.perception.backbones.patches import patch_attributes
 from dirl.scenes import SceneError, load_scenes
 from dirl.scenes.catalogue import split_of
 from dirl.scenes.io import processes
-from dirl.scenes.io.atomic import PREFIX
+from dirl.scenes.io.files import PREFIX
 from dirl.sources.rooms import build_room, read_description
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
 from dirl.sources.rooms.sampling.sample import LOOK, look_around

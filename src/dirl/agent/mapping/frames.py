@@ -24,8 +24,7 @@ from tqdm import tqdm
 from dirl.agent.mapping.graph import MapError
 from dirl.perception.columns import load_column_net
 from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Motion, Scale
-from dirl.scenes.io.atomic import atomic_path
-from dirl.scenes.io.bounded import read_arrays
+from dirl.scenes.io.files import atomic_path, read_arrays
 from dirl.scenes.views import encode, open_image, to_rgb
 
 SCHEMA = 2

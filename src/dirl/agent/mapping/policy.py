@@ -10,8 +10,7 @@ from torch import Tensor
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.walks import explore
 from dirl.config.options import Bounds
-from dirl.perception.recognition.recogniser import NCC
-from dirl.perception.recognition.tables import described_visits
+from dirl.perception.recognition.recogniser import NCC, described_visits
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.world import World

@@ -13,11 +13,9 @@ from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.panoramas import UNKNOWN, VIEWS
 from dirl.agent.mapping.places import PlaceMap
 from dirl.models.localising import Places
-from dirl.perception.recognition.build import recogniser_name
-from dirl.perception.recognition.recogniser import NCC, Recogniser
+from dirl.perception.recognition.recogniser import NCC, Recogniser, recogniser_name
 from dirl.scenes.graph import ACTIONS
-from dirl.scenes.io.atomic import atomic_path, check_seal, sealed, write_json
-from dirl.scenes.io.bounded import MOST_WEIGHTS, read_bytes, read_text
+from dirl.scenes.io.files import MOST_WEIGHTS, atomic_path, check_seal, read_bytes, read_text, sealed, write_json
 
 MISSING = "needs a package that is not installed (safetensors): pip install 'dirl[maps]'"
 

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
 from dirl.perception.backbones.patches import load_projection
 from dirl.perception.backbones.resnet import resized
-from dirl.scenes.io.atomic import file_digest
+from dirl.scenes.io.files import file_digest
 
 SIZE = (224, 224)
 """Height and width that it was trained with, pixels."""

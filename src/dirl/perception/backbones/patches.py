@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dirl.scenes.io.atomic import file_digest
+from dirl.scenes.io.files import file_digest
 
 PATCH_SIZE = (96, 128)
 """Height and width that views are resized to, pixels."""

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
-from dirl.config.components import make, tried
+from dirl.config.components import check_choice, make, tried
 from dirl.config.files import own_options
-from dirl.config.values import check_choice
 from dirl.perception.backbones.efficientnet import lite0_encoder
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
 from dirl.perception.backbones.patches import CELLS, FINE, PATCH_SIZE, load_projection, patch_attributes
@@ -35,7 +34,7 @@ from dirl.perception.backbones.resnet import (
     shipped_backbone,
 )
 from dirl.scenes import Scene, SceneError, read_dump
-from dirl.scenes.io.atomic import file_digest
+from dirl.scenes.io.files import file_digest
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.views import FileViews
 

@@ -16,7 +16,7 @@ from PIL import Image
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from dirl.scenes.io.bounded import read_tensors
+from dirl.scenes.io.files import read_tensors
 
 SIZE = (224, 224)
 """Height and width, in pixels, that views are resized to unless a caller says otherwise."""

@@ -7,9 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dirl.perception.recognition.matching import TemplateStop
-from dirl.perception.recognition.recogniser import in_blocks
-from dirl.perception.recognition.tables import matched
+from dirl.perception.recognition.recogniser import TemplateStop, in_blocks
 from dirl.scenes import Scene, SceneError
 from dirl.scenes.graph import AHEAD, BACK, RIGHT, IntArray, places, turns_per_circle
 
@@ -76,7 +74,7 @@ def _scores(scene: Scene, stop: TemplateStop) -> NDArray[np.floating]:
     fitted = recogniser.fit(features, patches)
     with torch.no_grad():
         visits = fitted.describe(features, patches)[surrounding]
-        return in_blocks(fitted, visits, matched(visits, stop.match)).numpy()
+        return in_blocks(fitted, visits, visits[:, :1] if stop.match == "front" else visits).numpy()
 
 
 def _facts(scene: Scene, parts: IntArray) -> dict[str, str]:

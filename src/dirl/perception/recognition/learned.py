@@ -12,7 +12,7 @@ from dirl.perception.backbones.patches import are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.photo import PhotoOdds
 from dirl.perception.recognition.recogniser import Thresholds
-from dirl.scenes.io.bounded import read_tensors
+from dirl.scenes.io.files import read_tensors
 
 WEIGHTS = Path(__file__).parents[2] / "agents" / "general" / "recogniser.pt"
 """Those of the agent `general`, for features and patches of EfficientNet-Lite0."""

@@ -1,11 +1,33 @@
-"""What recognises a place: the interface of the component group ``recogniser``, and the paper's choice."""
+"""Recognising places and goals (paper section 3.4): what a recogniser is, the paper's choice, and the stop by it.
 
+A `Recogniser` is of the component group ``recogniser``. `VisitScores` are its scores in a world, computed once and
+looked up; a `TemplateStop` says by them where agents stop.
+"""
+
+import hashlib
 import math
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+
+from dirl.config.components import make, tried
+from dirl.config.files import group_options
+from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.scenes.world import World
+
+FRONT_THRESHOLD = 0.95
+"""Above which one photo matches: other places are more like a goal in one view than in four, see docs/decisions.md."""
+
+StopRule = Callable[[Tensor, Tensor], Tensor]
+"""Of goals, by their place among a world's goals plus G times their look, and of what is seen ahead, by view id, int64
+``[...]`` each: whether an agent stops there, bool ``[...]``."""
+
+ScoreFunction = Callable[[Tensor, Tensor], Tensor]
+"""The same, but the scores instead, float32 ``[...]``."""
 
 
 class Thresholds(NamedTuple):
@@ -129,9 +151,6 @@ class NCC(nn.Module):
     calibrated = False
     thresholds: Thresholds | None = None
 
-    def __init__(self) -> None:
-        super().__init__()
-
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
         """Itself: it has no statistics."""
         return self
@@ -165,3 +184,197 @@ def normal_vectors(vector: Tensor) -> Tensor:
 def in_blocks(recogniser: Recogniser, seen: Tensor, references: Tensor, block: int = 256) -> Tensor:
     """`Recogniser.scores` of many visits, ``[A, V, F]`` and ``[B, V, F]``, computed ``block`` rows at a time."""
     return torch.cat([recogniser.scores(rows, references) for rows in seen.split(block)])
+
+
+def build_recogniser(config: TrainConfig, device: torch.device | str) -> Recogniser:
+    """What the stop and the episodic memory recognise places by, on a device."""
+    made: Any = make("recogniser", config.recogniser, config.trust) or NCC()
+    return checked(made.to(device) if isinstance(made, nn.Module) else made)
+
+
+def checked(recogniser: Any) -> Recogniser:
+    """Return a recogniser that may be of a user's own; `ConfigError` if it lacks a member of `Recogniser`."""
+    members = ("reads_patches", "calibrated", "thresholds", "fit", "describe", "scores")
+    missing = [name for name in members if not hasattr(recogniser, name)]
+    if missing:
+        raise ConfigError(f"recogniser: {type(recogniser).__name__} has no {', '.join(missing)}")
+    if not isinstance(recogniser.thresholds, Thresholds | None):
+        raise ConfigError(
+            f"recogniser: {type(recogniser).__name__}.thresholds must be Thresholds of dirl or None, "
+            f"not {type(recogniser.thresholds).__name__}"
+        )
+    return recogniser
+
+
+def set_memory_threshold(memory: nn.Module | None, recogniser: Recogniser) -> None:
+    """Give an episodic memory the threshold of its recogniser; one without a threshold weighs log odds itself.
+
+    Raises:
+        ConfigError: it does, and the recogniser's scores are no log odds.
+    """
+    if memory is None:
+        return
+    if not hasattr(memory, "threshold"):
+        if not recogniser.calibrated:
+            raise ConfigError(
+                f"episodic_memory=localising weighs log odds, and {type(recogniser).__name__} has none: "
+                "add recogniser=learned"
+            )
+    elif recogniser.thresholds is not None:
+        memory.threshold = recogniser.thresholds.memory  # type: ignore[assignment]
+
+
+def recogniser_name(recogniser: Recogniser) -> str:
+    """The class of a recogniser and a digest of its weights: what it describes others cannot compare."""
+    kind = type(recogniser)
+    digest = hashlib.sha256()
+    if isinstance(recogniser, nn.Module):
+        for name, value in sorted(recogniser.state_dict().items()):
+            digest.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+    return f"{kind.__module__}.{kind.__qualname__} sha256:{digest.hexdigest()[:16]}"
+
+
+class VisitScores:
+    """The scores between every two visits of each scene of a world.
+
+    A visit is named by its first view id, ``look * N + state``: the other three follow from it. All scores of
+    a reference are computed when it is first asked for.
+
+    Args:
+        recogniser: compares them.
+        world: N states in L looks each.
+        match: ``views``, all four of them, or ``front``, the one ahead.
+    """
+
+    @torch.no_grad()
+    def __init__(self, recogniser: Recogniser, world: World, match: str = "views") -> None:
+        self.recogniser, self.match = recogniser, match
+        self.visits = [described_visits(recogniser, world, index) for index in range(len(world.scenes))]
+        sizes = torch.tensor([len(visits) for visits in self.visits], device=world.device)
+        order = torch.cat([world.pictures(index) for index in range(len(world.scenes))]).argsort()
+        self.scene = torch.arange(len(sizes), device=world.device).repeat_interleave(sizes)[order]
+        self.column = torch.cat([torch.arange(size, device=world.device) for size in sizes.tolist()])[order]
+        self.row = (sizes**2).cumsum(0)[self.scene] - sizes[self.scene] * (sizes[self.scene] - self.column)
+        self.table = torch.empty(int((sizes**2).sum()), device=world.device)
+        self.known = torch.zeros(len(order), dtype=torch.bool, device=world.device)
+        self.whole: Tensor | None = None
+        """What panoramas are compared by, of each view id, float32 ``[M, W]``; None = four views at a time are."""
+        if isinstance(recogniser, ComparesPanoramas):
+            self.whole = torch.cat([recogniser.whole(visits[:, 0]) for visits in self.visits])[order]
+
+    def __call__(self, reference: Tensor, seen: Tensor) -> Tensor:
+        """The scores of visits by their first view ids in one scene, int64 ``[...]`` each, broadcast; float32."""
+        asked = reference[~self.known[reference]]
+        if len(asked):
+            self._compute(asked.unique())
+        return self.table[self.row[reference] + self.column[seen]]
+
+    def of_visits(self, seen: Tensor, visit: Tensor) -> Tensor:
+        """How much visits ``[B, K]`` look like earlier ones, ``[B, T, K]``, facing each of their views; all view ids.
+
+        A node faces the view that was ahead or aside, by whose view id it is named. Of a panorama each four views, 90
+        degrees apart, are compared, and the mean is taken, unless the recogniser `ComparesPanoramas`.
+        """
+        rings = visit.shape[1] // self.visits[0].shape[1]
+        if rings > 1 and self.whole is not None:
+            return panorama_odds(self.whole[seen], self.whole[visit])
+        scores = [self(seen.roll(-ring, 2), visit[:, None, ring, None]) for ring in range(rings)]
+        return torch.stack(scores).mean(0) if rings > 1 else scores[0]
+
+    def of_goal(self, goal: Tensor, visits: Tensor, place: Tensor) -> Tensor:
+        """Log odds that panoramas see goals, by their view ids; see `panorama_odds`."""
+        assert self.whole is not None
+        return panorama_odds(self.whole[visits], self.whole[goal], self.whole[place])
+
+    @torch.no_grad()
+    def _compute(self, reference: Tensor) -> None:
+        """Fill the rows of references, int64 ``[A]``."""
+        for index in self.scene[reference].unique().tolist():
+            visits, rows = self.visits[index], reference[self.scene[reference] == index]
+            references = visits[self.column[rows]]
+            references = references[:, :1] if self.match == "front" else references
+            found = in_blocks(self.recogniser, visits, references).T
+            self.table[self.row[rows][:, None] + torch.arange(len(visits), device=rows.device)] = found
+        self.known[reference] = True
+
+
+def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor:
+    """The described views of the visits of one scene, float32 ``[M, 4, F]``, in the order of `World.pictures`."""
+    pictures, states, offset = world.pictures(index), len(world.scenes[index]), world.offsets[index]
+    patches = None if world.patches is None or not recogniser.reads_patches else world.patches[pictures]
+    features = world.features[pictures]
+    with tried("recogniser", recogniser):
+        own = recogniser.fit(features[:states], None if patches is None else patches[:states])
+        views = own.describe(features, patches)
+        if views.ndim != 2 or len(views) != len(features):
+            raise ValueError(f"describe gave {list(views.shape)} for {len(features)} views; expected [N, F]")
+        visit = views[:4].unsqueeze(0)
+        scores = own.scores(visit.repeat(2, 1, 1), visit.repeat(3, 1, 1))
+        if scores.shape != (2, 3):
+            raise ValueError(f"scores gave {list(scores.shape)} for 2 visits and 3 references; expected [2, 3]")
+    local = world.surrounding[offset : offset + states] - offset
+    return views[torch.cat([local + look * states for look in range(world.looks)])]
+
+
+@dataclass(frozen=True)
+class TemplateStop:
+    """Stop where the observation matches the goal.
+
+    Args:
+        threshold: stop above this coefficient (the paper's is 0.9).
+        match: what is compared: ``views``, all four of them, or ``front``, the one ahead.
+        recogniser: compares it; the paper's is template matching by correlation.
+    """
+
+    threshold: float = 0.9
+    match: str = "views"
+    recogniser: Recogniser = field(default_factory=NCC, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.match not in ("views", "front"):
+            raise ValueError(f"match is 'views' or 'front', not '{self.match}'")
+
+    @torch.no_grad()  # a learned recogniser has weights
+    def scores(self, world: World) -> Tensor:
+        """The score of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`.
+
+        In a world that changes both are seen in their default look.
+        """
+        found = []
+        for index, scene in enumerate(world.scenes):
+            visits = described_visits(self.recogniser, world, index)[: len(scene)]
+            goals = visits[world.local_goals(index)]
+            goals = goals[:, :1] if self.match == "front" else goals
+            found.append(in_blocks(self.recogniser, visits, goals).T.flatten())
+        return torch.cat(found)
+
+    def __call__(self, world: World) -> Tensor:
+        """Where an agent stops on its way to each goal, bool ``[P]``; not where it cannot be reached from."""
+        return (self.scores(world) > self.threshold) & (world.distances >= 0)
+
+    def arrived(self, world: World) -> StopRule:
+        """The same in a world that changes, where it depends on the looks of the goal and of the visit."""
+        compared = self.compared(world)
+        return lambda wanted, picture: compared(wanted, picture) > self.threshold
+
+    def compared(self, world: World) -> ScoreFunction:
+        """The scores by which an agent would stop, for one that weighs them itself."""
+        scores, states, goals = VisitScores(self.recogniser, world, self.match), len(world), len(world.goals)
+        return lambda wanted, picture: scores(world.goals[wanted % goals] + wanted // goals * states, picture)
+
+
+def matching(config: TrainConfig, device: torch.device | str) -> TemplateStop:
+    """The stop by template matching, for a world on a device."""
+    return stop_by(build_recogniser(config, device), config.stop.threshold, config.stop.match)
+
+
+def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateStop:
+    """The stop by a recogniser, above its own threshold or, if it has none, the one given."""
+    if recogniser.thresholds is not None:
+        threshold = recogniser.thresholds.photo if match == "front" else recogniser.thresholds.views
+    return TemplateStop(threshold, match, recogniser)
+
+
+def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
+    """The stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
+    return stop_by(checked(make("recogniser", group_options("recogniser", choice) or {})), threshold, match)

@@ -1,6 +1,6 @@
 """The content of a dump, read with libhdf5, and its digest; `dirl.scenes.io.read` says what is in such a file.
 
-Everything here also runs in a separate process, see `dirl.scenes.io.isolation`, and so does without torch. Errors do
+Everything here also runs in a separate process, see `dirl.scenes.io.read`, and so does without torch. Errors do
 not name the file; the caller adds its name.
 """
 
@@ -107,25 +107,33 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
     missing = [key for key in ("graph", "location", "rotation") if key not in file]
     if missing:
         raise SceneError(f"the dataset '{missing[0]}' is missing; the file holds {_short(sorted(file), str)}")
-    graph = _open_dataset(file, "graph", kinds="iu", shape=(None, 4))
+    graph = _open_dataset(file, "graph", "iu", (None, 4))
     states = len(graph)
     if states > MAX_STATES:
         raise SceneError(f"graph: {states} states are more than the {MAX_STATES} this package can hold")
-    location = _open_dataset(file, "location", kinds="iuf", shape=(states, 2))
-    rotation = _open_dataset(file, "rotation", kinds="iuf", shape=(states,))
-    for dataset in (graph, location, rotation):
-        _check_storage(dataset)
+    location = _open_dataset(file, "location", "iuf", (states, 2))
+    rotation = _open_dataset(file, "rotation", "iuf", (states,))
     features = _open_features(file, states)
     views = _open_views(file, states)
     mapped = _locate_mapped(file, path, states)
     if "shortest_path_distance" in file:  # never used, but the digest is over it
-        _check_storage(_open_dataset(file, "shortest_path_distance", kinds="iuf", shape=(states, states)))
+        _open_dataset(file, "shortest_path_distance", "iuf", (states, states))
     verified = intact or check_digest(file)
-    contents = {
+    values: NDArray[np.floating] | None = None
+    if features is not None:
+        offset = features.id.get_offset() if verified and features.dtype in (np.float16, np.float32) else None
+        if offset is not None:  # mapped like the others: a world copies them, and then they need no memory
+            mapped["features"] = (offset, list(features.shape), features.dtype.str)
+        else:  # the first crop, a block at a time: float64 takes three times the memory
+            kind = np.float16 if features.dtype.itemsize == 2 else np.float32
+            values = np.empty((states, features.shape[-1]), kind)
+            for rows in blocks(features):
+                values[rows] = features[rows, 0] if features.ndim == 3 else features[rows]
+    return {
         "graph": _in_our_order(graph[:], file.attrs.get("actions")),
         "positions": location[:],
         "headings": rotation[:],
-        "features": None if features is None else _read_features(features),
+        "features": values,
         "extractor": "none"
         if features is None
         else extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown",
@@ -135,37 +143,19 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         "mapped": mapped,
         **({} if views is None else _locate_views(views, path, decoded=verified)),
     }
-    if verified and features is not None and features.dtype in (np.float16, np.float32):
-        offset = features.id.get_offset()
-        if offset is not None:  # mapped like the others: a world copies them, and then they need no memory
-            mapped["features"] = (offset, list(features.shape), features.dtype.str)
-            contents["features"] = None
-    return contents
 
 
 def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
     if "resnet_feature" not in file:
         return None
-    crops = len(_own_dataset(file, "resnet_feature").shape or ()) == 3
-    shape = (states, None, None) if crops else (states, None)
-    dataset = _open_dataset(file, "resnet_feature", kinds="f", shape=shape)
-    reversed_ = crops and dataset.shape[1] > dataset.shape[2]
+    dataset = _open_dataset(file, "resnet_feature", "f", (states, None), (states, None, None))
+    reversed_ = dataset.ndim == 3 and dataset.shape[1] > dataset.shape[2]
     if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES or reversed_:
         raise SceneError(
             "resnet_feature: expected shape (states, features) or (states, crops, features), fewer crops than features "
             f"and {MAX_FEATURE_VALUES} features of all states at most, found {dataset.shape}"
         )
-    _check_storage(dataset)
     return dataset
-
-
-def _read_features(dataset: h5py.Dataset) -> NDArray[np.floating]:
-    """Return the features ``[N, D]`` of the first crop, a block at a time: float64 takes three times the memory."""
-    kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
-    values = np.empty((dataset.shape[0], dataset.shape[-1]), kind)
-    for rows in blocks(dataset):
-        values[rows] = dataset[rows, 0] if dataset.ndim == 3 else dataset[rows]
-    return values
 
 
 def _goals(declared: object, states: int) -> list[int]:
@@ -207,21 +197,12 @@ def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
     return str(text)
 
 
-def _open_dataset(file: h5py.File, name: str, *, kinds: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
-    """Return a dataset whose place, type and shape are as expected; its values are not read."""
-    dataset = _own_dataset(file, name)
-    if dataset.dtype.kind not in kinds:
-        wanted = " or ".join(KINDS[kind] for kind in kinds)
-        raise SceneError(f"{name}: expected {wanted} values, found {_short(dataset.dtype, str)}")
-    found = dataset.shape or ()
-    if len(found) != len(shape) or any(w not in (None, f) for w, f in zip(shape, found, strict=True)):
-        wanted = ", ".join("any" if size is None else str(size) for size in shape)
-        raise SceneError(f"{name}: expected shape ({wanted}), found {found}")
-    return dataset
+def _open_dataset(file: h5py.File, name: str, kinds: str, *shapes: tuple[int | None, ...]) -> h5py.Dataset:
+    """Return a dataset whose place, type and shape are as expected, and all of whose values were written.
 
-
-def _own_dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    """Return a dataset of the file itself; its values are not read."""
+    The values are not read. How they are packed is not looked at: what takes too much memory or time ends the process
+    that reads them.
+    """
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise SceneError(f"{name}: is a link to elsewhere; a dump must hold its own data")
     dataset = file[name]
@@ -229,22 +210,22 @@ def _own_dataset(file: h5py.File, name: str) -> h5py.Dataset:
         raise SceneError(f"{name}: is a {type(dataset).__name__.lower()}; expected a dataset")
     if dataset.is_virtual or dataset.external:
         raise SceneError(f"{name}: its data lies in other files; a dump must hold its own data")
-    return dataset
-
-
-def _check_storage(dataset: h5py.Dataset) -> None:
-    """Raise `SceneError` unless all of a dataset's values have been written.
-
-    How they are packed is not looked at: what takes too much memory or time ends the process that reads them.
-    """
+    if dataset.dtype.kind not in kinds:
+        wanted = " or ".join(KINDS[kind] for kind in kinds)
+        raise SceneError(f"{name}: expected {wanted} values, found {_short(dataset.dtype, str)}")
+    found = dataset.shape or ()
+    alike = [shape for shape in shapes if len(shape) == len(found)]
+    if not any(all(w in (None, f) for w, f in zip(shape, found, strict=True)) for shape in alike):
+        told = [", ".join("any" if size is None else str(size) for size in shape) for shape in shapes]
+        raise SceneError(f"{name}: expected shape ({') or ('.join(told)}), found {found}")
     if dataset.chunks:
         count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
         complete = dataset.id.get_num_chunks() >= count
     else:
         complete = dataset.id.get_storage_size() > 0 or not dataset.size
     if not complete:
-        name = dataset.name.removeprefix("/")
         raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
+    return dataset
 
 
 def _short(value: object, show: Callable[[object], str] = repr) -> str:
@@ -275,12 +256,11 @@ def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[
 
 
 def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...]) -> tuple[int, list[int], str]:
-    dataset = _open_dataset(file, name, kinds="f", shape=shape)
+    dataset = _open_dataset(file, name, "f", shape)
     if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_VALUES:
         raise SceneError(
             f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
         )
-    _check_storage(dataset)
     offset: int | None = dataset.id.get_offset()
     if offset is None:
         raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
@@ -292,19 +272,17 @@ def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...
 def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
     """Return the checked dataset of views, encoded or raw; None if there is none."""
     if "observation_webp" in file:
-        dataset = _open_dataset(file, "observation_webp", kinds="O", shape=(states,))
+        dataset = _open_dataset(file, "observation_webp", "O", (states,))
         if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
             raise SceneError("observation_webp: expected byte strings (variable-length uint8)")
-        _check_storage(dataset)
         return dataset
     if "observation" not in file:
         return None
-    dataset = _open_dataset(file, "observation", kinds="u", shape=(states, None, None, 3))
+    dataset = _open_dataset(file, "observation", "u", (states, None, None, 3))
     if dataset.dtype != np.uint8:
         raise SceneError(f"observation: expected uint8 pixels, found {dataset.dtype}")
     if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
         raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
-    _check_storage(dataset)
     if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
         raise SceneError(
             f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "

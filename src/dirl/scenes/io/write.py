@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from dirl.scenes.graph import ACTIONS, shortest_distances
-from dirl.scenes.io.atomic import atomic_path
+from dirl.scenes.io.files import atomic_path
 from dirl.scenes.io.hdf5 import check_view, write_digest
 from dirl.scenes.scene import Scene, SceneError, check_name
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import h5py
 
 from dirl.scenes.catalogue import ROOM, split_of
-from dirl.scenes.io.atomic import write_text
+from dirl.scenes.io.files import write_text
 from dirl.scenes.io.processes import in_processes
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.build import Changes, check_arguments, look_views, poses, take_views, write_room

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, get_type_hints
 import tomli_w
 from annotated_types import Ge, Gt, Le
 
-from dirl.scenes.io.checked import check_choice, checked, text_of
+from dirl.scenes.io.files import check_choice, checked, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.furniture import FURNITURE
 from dirl.sources.rooms.textures import TEXTURES

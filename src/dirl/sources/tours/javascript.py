@@ -14,7 +14,7 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from dirl.scenes.io.checked import LONGEST, inside, text_of
+from dirl.scenes.io.files import LONGEST, inside, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
 from dirl.sources.tours.tour import MOST_TEXT, Described, FlatError, Link, Panorama, entries, entry, number, read_json

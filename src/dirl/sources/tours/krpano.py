@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from dirl.scenes.io.checked import LONGEST, inside, text_of
+from dirl.scenes.io.files import LONGEST, inside, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
 from dirl.sources.tours.tour import MOST_TEXT, Described, FlatError, Link, Panorama, number

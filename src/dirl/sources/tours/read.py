@@ -4,7 +4,7 @@ from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 
-from dirl.scenes.io.checked import inside, read_csv, text_of
+from dirl.scenes.io.files import inside, read_csv, text_of
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.javascript import SCENES, read_marzipano, read_pannellum

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import pyjson5
 
-from dirl.scenes.io.checked import check_choice
+from dirl.scenes.io.files import check_choice
 from dirl.scenes.scene import SceneError
 from dirl.sources.tours.images import Cube, Equirectangular
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dirl.scenes.io.checked import check_choice
+from dirl.scenes.io.files import check_choice
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.build import View, poses, take_views, view_problems
 from dirl.sources.rooms.checks import check_room

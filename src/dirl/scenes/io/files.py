@@ -1,0 +1,373 @@
+"""Files: read with bounds and checked, because somebody else may have written them; written completely or not at all.
+
+None is read, unpacked or waited for without a bound; what is wrong with one is told in one line. A file that is written
+is complete or absent, even if the process is killed, the disk is full or the power fails.
+"""
+
+import csv
+import difflib
+import hashlib
+import io
+import json
+import math
+import os
+import re
+import secrets
+import stat
+import zipfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import fields
+from functools import cache
+from math import prod
+from pathlib import Path, PurePosixPath
+from typing import Any, BinaryIO, get_type_hints
+
+import numpy as np
+
+from dirl.scenes.errors import SceneError
+
+MOST = 64 * 2**20
+"""Bytes that are read of a file. The longest table of a run has a row a step of imitation, 40 bytes each."""
+
+MOST_WEIGHTS = 4 * 2**30
+"""Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
+
+FREELY_UNPACKED, MOST_RATIO = 2**28, 100
+"""Arrays of more bytes may only be so many times larger than their file: gzip packs zeros a thousand times."""
+
+
+def open_regular(file: Path) -> BinaryIO:
+    """Open a regular file to read it; a pipe or a device, which may never end, is not waited for.
+
+    Raises:
+        ValueError: it is no regular file.
+        OSError: it cannot be opened.
+    """
+    waiting = getattr(os, "O_NONBLOCK", 0)  # else opening a pipe waits for somebody to write
+    stream = open(file, "rb", opener=lambda path, flags: os.open(path, flags | waiting))  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise ValueError(f"{file}: is no regular file")
+    return stream
+
+
+def read_bytes(file: Path, most: int = MOST) -> bytes:
+    """Return the content of a regular file, see `open_regular`.
+
+    Raises:
+        ValueError: it is longer than ``most`` bytes, or no regular file.
+        OSError: it cannot be read.
+    """
+    with open_regular(file) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(size + 1) if size <= most else b""  # a buffer of `most` may be more than there is
+    if max(size, len(data)) > most:
+        raise ValueError(f"{file}: has more than {most} bytes, which no such file of dirl has")
+    return data
+
+
+def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: str = "strict") -> str:
+    """Return the text of a file, see `read_bytes`; ``errors`` as of ``bytes.decode``.
+
+    Raises:
+        ValueError: it is longer than ``most`` bytes, no regular file, or (with ``errors="strict"``) no such text.
+        OSError: it cannot be read.
+    """
+    try:
+        return read_bytes(file, most).decode(encoding, errors)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: is not UTF-8 text ({error}); save it as UTF-8") from None
+
+
+def read_rows(file: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file whose first line names the columns; ValueError if it is no such table."""
+    try:
+        return list(csv.DictReader(read_text(file).splitlines(), strict=True))
+    except csv.Error as error:
+        raise ValueError(f"{file}: is no table ({error})") from None
+
+
+def read_arrays(file: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of an ``.npz`` file; the sizes that it declares are checked before any is unpacked.
+
+    Raises:
+        ValueError: it is no such file, is damaged, or would unpack to far more than it is.
+        OSError: it cannot be read.
+    """
+    try:
+        with open_regular(file) as stream, zipfile.ZipFile(stream) as archive:
+            entries, packed = archive.infolist(), os.fstat(stream.fileno()).st_size
+            if (unpacked := sum(entry.file_size for entry in entries)) > max(FREELY_UNPACKED, MOST_RATIO * packed):
+                raise ValueError(f"{packed} bytes would unpack to {unpacked}")
+            for entry in entries:
+                _check_header(archive, entry)
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as stored:
+                return dict(stored)
+    except OSError:
+        raise
+    except Exception as error:  # zipfile and numpy raise many kinds for what they cannot read
+        reason = " ".join(f"{error}".split())[:200]
+        raise ValueError(f"{file}: is no file of arrays that can be read ({reason or type(error).__name__})") from None
+
+
+def _check_header(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
+    """Raise ValueError unless an array has the size that its shape says: NumPy makes room for the shape first."""
+    with archive.open(entry) as member:
+        version = np.lib.format.read_magic(member)
+        read_header = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(member)
+        if member.tell() + prod(shape) * dtype.itemsize != entry.file_size:
+            raise ValueError(f"{entry.filename} is not as large as its shape {shape}")
+
+
+def read_tensors(file: Path) -> Any:
+    """Return what ``torch.save`` wrote, see `unpack_tensors`; `read_bytes` says what else is raised."""
+    return unpack_tensors(read_bytes(file, MOST_WEIGHTS))
+
+
+def unpack_tensors(data: bytes) -> Any:
+    """Return what is in an archive of ``torch.save``, on the CPU; no code in it runs.
+
+    Raises:
+        ValueError: it would unpack to more than it is: torch does not compress, and a view may repeat an element.
+        Exception: of torch, whatever it is for what it cannot read.
+    """
+    import torch  # here: the process that reads dumps does without it
+
+    archive = io.BytesIO(data)
+    if zipfile.is_zipfile(archive):  # what older versions of torch wrote is none
+        parts = zipfile.ZipFile(archive).infolist()
+        if sum(part.file_size for part in parts) > len(data):
+            raise ValueError("its parts are larger than the file")
+    archive.seek(0)
+    stored = torch.load(archive, map_location="cpu", weights_only=True)
+    values = stored.values() if isinstance(stored, dict) else ()
+    most = max(FREELY_UNPACKED, len(data))
+    if any(isinstance(value, torch.Tensor) and value.nbytes > most for value in values):
+        raise ValueError("a tensor is larger than the file")
+    return stored
+
+
+MOST_NAMED = 100
+"""How many choices an error lists: all kinds of furniture, but not all panoramas of a large tour."""
+
+LONGEST = 1000
+"""Characters of the name of a file in another one; what is longer no operating system takes."""
+
+UNKNOWN = "unexpected_keyword_argument"
+"""What pydantic calls a key that a dataclass does not have."""
+
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+")
+
+
+def checked(value: object, kind: Any, where: str = "", *, strict: bool = True) -> Any:
+    """Return what a file holds as a type: tables become dataclasses, lists tuples, whole numbers floats.
+
+    Args:
+        value: made of dictionaries, lists, texts and numbers.
+        kind: a dataclass, whose tables are dataclasses too, or another type; bounds are those of `annotated_types`.
+        where: in which file or part of it, for errors.
+        strict: False takes texts as numbers too.
+
+    Raises:
+        SceneError: something is of another type, out of bounds, unknown or missing; the message names it.
+    """
+    from pydantic import ValidationError  # here: many commands read no such file, and this takes 0.1 s
+    from pydantic_core import to_json
+
+    try:
+        # Strictly, a list of JSON can be a tuple, and an object a dataclass; those of Python cannot.
+        return _adapter(kind).validate_json(to_json(value, inf_nan_mode="strings"), strict=strict, extra="forbid")
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+    first = next((one for one in found if one["type"] == UNKNOWN), found[0])
+    if first["type"] == UNKNOWN:
+        *above, key = map(str, first["loc"])
+        for part in above:
+            kind = get_type_hints(kind)[part]
+        check_choice(key, [field.name for field in fields(kind)], ".".join([*filter(None, [where]), *above]))
+    name = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).lstrip(".")
+    wrong = "is missing" if first["type"] == "missing" else f"{first['msg']}, found {first['input']!r:.80}"
+    raise SceneError(": ".join(filter(None, [where, name, wrong.replace("Input should", "must")])))
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
+
+
+def check_choice(name: str, known: Collection[str], where: str, noun: str = "") -> None:
+    """Raise `SceneError` unless a name is one of those that are known; ``noun`` is what they are the names of."""
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        what, more = f"{noun} '{name}'".lstrip(), ", ..." if len(known) > MOST_NAMED else ""
+        hint = f"did you mean '{near[0]}'?" if near else f"choose from {', '.join([*known][:MOST_NAMED])}{more}"
+        raise SceneError(f"{where}: there is no {what}; {hint}".removeprefix(": "))
+
+
+def inside(folder: Path, name: object, where: str) -> Path:
+    """Return the path of a file that a table or a tour names; it lies in the folder, symbolic links followed.
+
+    The file need not exist.
+
+    Args:
+        folder: of the table or the tour.
+        name: of the file, relative to the folder.
+        where: it is named, for errors.
+
+    Raises:
+        SceneError: the name is none, or leads out of the folder.
+    """
+    if not isinstance(name, str) or not name.strip(" ./\\") or not name.isprintable() or len(name) > LONGEST:
+        raise SceneError(f"{where}: expected the name of a file, found {str(name)[:50]!r}")
+    text = name.replace("\\", "/")
+    if "://" in text or text.startswith("//"):
+        raise SceneError(f"{where}: '{name[:100]}' is on the web; nothing is downloaded, fetch the files first")
+    path = PurePosixPath(text)
+    if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
+        raise SceneError(f"{where}: '{name[:100]}' lies outside of {folder}")
+    found = folder / path
+    real, root = os.path.realpath(found), os.path.realpath(folder)
+    if os.path.commonpath([real, root]) != root:
+        raise SceneError(f"{where}: '{name[:100]}' is a link that leads out of {folder}; put the file itself there")
+    return found
+
+
+def text_of(file: Path, most: int = MOST) -> str:
+    """Return the text of a file that somebody else wrote, UTF-8; `SceneError` if it cannot be read, or is none."""
+    try:
+        return read_text(file, most, encoding="utf-8-sig")
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise SceneError(str(error)) from None
+
+
+def read_csv(
+    file: Path, required: Sequence[str], optional: Sequence[str] = (), most: int = MOST
+) -> list[tuple[str, dict[str, str]]]:
+    """Return the rows of a CSV file by column, each with the file and line for errors; empty lines are left out.
+
+    `SceneError` if it cannot be read, has another column or lacks one, or a line is none of the table.
+    """
+    lines = text_of(file, most).splitlines()
+    if not lines:
+        raise SceneError(f"{file}: is empty; its first line names the columns: {','.join(required)}")
+    # Spreadsheets of countries with a decimal comma separate by semicolons.
+    semicolons = ";" in lines[0] and "," not in lines[0]
+    reader = csv.reader(lines, delimiter=";" if semicolons else ",")
+    rows = []
+    try:
+        columns = [column.strip() for column in next(reader)]
+        _check_columns(columns, required, optional, file)
+        for line in reader:
+            cells = [cell.strip() for cell in line]
+            if semicolons:
+                cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+            where = f"{file}: line {reader.line_num}"
+            if any(cells) and len(cells) != len(columns):
+                raise SceneError(f"{where}: {len(cells)} cells for {len(columns)} columns")
+            if any(cells):
+                rows.append((where, dict(zip(columns, cells, strict=True))))
+    except csv.Error as error:
+        raise SceneError(f"{file}: line {reader.line_num}: is no line of a table ({error})") from None
+    return rows
+
+
+def _check_columns(columns: Sequence[str], required: Sequence[str], optional: Sequence[str], file: Path) -> None:
+    known = [*required, *optional]
+    for column in columns:
+        check_choice(column, known, f"{file}: line 1: columns")
+        if columns.count(column) > 1:
+            raise SceneError(f"{file}: line 1: the column '{column}' is named twice")
+    missing = [column for column in required if column not in columns]
+    if missing:
+        raise SceneError(f"{file}: line 1: the column '{missing[0]}' is missing; found {', '.join(columns)}")
+
+
+DIGEST = "digest"
+"""The key in JSON, see `sealed`."""
+
+PREFIX = ".unfinished-"
+"""What the names of temporary files begin with; only a killed process leaves one."""
+
+
+@contextmanager
+def atomic_path(file: str | Path) -> Iterator[Path]:
+    """Within this context a file is written under a temporary name; at its end it is renamed.
+
+    It yields the path to write to. An existing file is replaced, and stays unchanged if anything fails.
+
+    The temporary name is in the same folder, because a rename across file systems is a copy; it is random, so that two
+    processes cannot write to the same one; and it ends like the file's own, because many libraries take the format
+    from it. The data is on the disk (``fsync``) before the rename, and the rename before the context ends.
+
+    Raises:
+        OSError: the file cannot be written; names ``file``, not the temporary one.
+    """
+    target = Path(os.path.realpath(file))  # a symbolic link stays one
+    temporary = target.with_name(f"{PREFIX}{secrets.token_hex(8)}{target.suffix}")
+    try:
+        yield temporary
+        _flush_to_disk(temporary)
+        os.replace(temporary, target)
+        if os.name == "posix":  # elsewhere a folder cannot be opened
+            _flush_to_disk(target.parent, os.O_RDONLY)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError) and error.errno is not None and error.filename in (None, str(temporary)):
+            raise OSError(error.errno, error.strerror, str(file)) from error
+        raise
+
+
+def _flush_to_disk(path: Path, flags: int = os.O_RDWR) -> None:
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a text file in UTF-8, completely or not at all."""
+    with atomic_path(file) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(file: Path, data: object) -> None:
+    """Write a JSON file, completely or not at all; NaN and infinity, which JSON lacks, become null."""
+
+    def plain(value: object) -> object:
+        if isinstance(value, Mapping):
+            return {key: plain(inner) for key, inner in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(inner) for inner in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    write_text(file, json.dumps(plain(data), indent=1, allow_nan=False) + "\n")
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, as hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def sealed(facts: Mapping[str, object], *contents: bytes) -> dict[str, object]:
+    """Facts to be written as JSON, with a digest over them and the contents of other files of their folder."""
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for content in contents:
+        digest.update(hashlib.sha256(content).digest())
+    return {**facts, DIGEST: digest.hexdigest()}
+
+
+def check_seal(facts: Mapping[str, object], *contents: bytes) -> None:
+    """Check what `sealed` added, ValueError if anything is not as it was written."""
+    plain = {key: value for key, value in facts.items() if key != DIGEST}
+    if facts != sealed(plain, *contents):
+        raise ValueError("its files are not those that were written: the digest differs")
