@@ -29,11 +29,13 @@ from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.models import ActorCritic, caching, noisy
 from dirl.runs.folder import Run
 from dirl.training import hogwild
+from dirl.training.build import build_imitation_loss
 from dirl.training.job import Components, run_job
-from dirl.training.loops import TrainState, Updates, cloning, dagger_rounds, imitation_steps, updates, write_evaluations
+from dirl.training.loops import TrainState, Updates, dagger_rounds, imitation_steps, updates, write_evaluations
 from dirl.training.objectives import (
     bootstrap,
     clip_gradients,
+    demonstration_batches,
     make_advantages,
     minibatches,
     set_learning_rate,
@@ -79,12 +81,18 @@ def imitation(runs: Sequence[Run], every: Sequence[Components], policy: ActorCri
 
 def imitate(runs: Sequence[Run], policy: ActorCritic | Stack, demos: Sequence[Demonstrations], done: int = 0) -> int:
     """Clone the expert until its actions are learned (paper section 3.3); takes and returns the steps done so far."""
-    noise, compare = runs[0].config.imitation.noise, cloning(runs[0].config, policy, demos[0])
+    config = runs[0].config
+    if isinstance(policy, Stack):
+        compare = policy.cloning()  # it has the demonstrations of its runs
+    else:
+        loss, trunk = build_imitation_loss(config, policy), policy.trunk()
+        draw = demonstration_batches(policy, demos[0], config.imitation.batch_size)
     with imitation_steps(runs, policy, demos, done) as steps:
 
         def step() -> Tensor:
-            with caching(policy, learns=True), noisy(policy, noise):
-                result = compare()  # the policy with the expert, on a batch of demonstrations: equations 11 and 12
+            with caching(policy, learns=True), noisy(policy, config.imitation.noise):
+                # The policy with the expert, on a batch of demonstrations: equations 11 and 12.
+                result = compare() if isinstance(policy, Stack) else loss(trunk(draw().copy()))
             steps.optimiser.zero_grad()
             result["loss_imitation"].sum().backward()
             steps.optimiser.step()

@@ -54,8 +54,8 @@ def test_published_dumps_get_the_published_goals(folder):
 def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
     for file in ("SHA256SUMS", "bathroom_02.h5", "bathroom_02.patches.npy"):
         (tmp_path / file).write_bytes((ROOMS / file).read_bytes())
-    for module in (catalogue, read):
-        monkeypatch.setattr(module, "ROOMS", tmp_path)
+    monkeypatch.setattr(catalogue.Rooms, "folder", tmp_path)
+    monkeypatch.setattr(read, "ROOMS", tmp_path)
     room = load_scenes("bathroom_02")[0]
     assert (len(room), room.patches is not None) == (180, True)
     content = bytearray((tmp_path / "bathroom_02.h5").read_bytes())

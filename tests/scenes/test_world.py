@@ -35,7 +35,6 @@ def test_scenes_lie_one_behind_the_other(world, scenes):
     assert world.offsets == (0, 24, 56)
     assert world.scene_of.tolist() == [0] * 24 + [1] * 32 + [2] * 24
     assert world.names == ("grid", "hall", "closet")
-    assert make_world([scenes[0], hall(source="thor")]).source == "synthetic+thor"
     expected = [scene.surrounding + offset for scene, offset in zip(scenes, world.offsets, strict=True)]
     assert world.surrounding.tolist() == np.concatenate(expected).tolist()
 

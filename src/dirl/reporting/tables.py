@@ -104,12 +104,32 @@ def summary_table(summary: Summary) -> str:
         A heading line, the table of the policies, that of held-out goals if there are any, that of the greedy policy
         by scene and goal if it has at most `MOST_GOALS` rows, and a hint if false stops end most of them. Markdown.
     """
-    parts = [_heading(summary)]
+    facts = [] if "agent" in summary else [f"{summary['frames']:,} frames"]
+    if (rate := summary.get("frames_per_second")) is not None:
+        facts.append(f"{rate:,.0f} frames/s")
+    if (seconds := summary.get("seconds")) is not None:
+        minutes = round(seconds / 60)
+        longer = f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+        facts.append(f"{longer if seconds >= 120 else f'{seconds:.1f} s'} in all")
+    if "stable_at_frame" in summary:
+        stable = summary["stable_at_frame"]
+        facts.append("never stable" if stable is None else f"stable at {stable:,} frames")
+    if (memory := summary.get("peak_memory_mb")) is not None:
+        facts.append(f"peak memory {memory:,.0f} MB")
+    text = ": ".join([run_title(summary), *([", ".join(facts)] if facts else [])])
+    parts = [textwrap.fill(text, COLUMNS, break_long_words=False, break_on_hyphens=False)]
     parts.append(result_table({label: summary[key] for label, key in SECTIONS.items() if summary.get(key)}))
     if held_out := summary.get("held_out"):
         rows = {label: held_out[key] for label, key in SECTIONS.items() if held_out.get(key)}
         parts += ["Goals held out of the training:", result_table(rows)]
-    by_goal = _by_goal((summary.get("greedy") or {}).get("scenes", {}))
+    # A row for each goal; among several scenes also one for each scene, before its goals.
+    by_goal: dict[str, Mapping[str, float | None]] = {}
+    scenes = (summary.get("greedy") or {}).get("scenes", {})
+    for name, measures in scenes.items():
+        prefix = f"{name}, " if len(scenes) > 1 else ""
+        if prefix:
+            by_goal[name] = measures
+        by_goal |= {f"{prefix}goal {goal}": of_goal for goal, of_goal in measures["goals"].items()}
     if 0 < len(by_goal) <= MOST_GOALS:
         parts += ["Greedy policy by goal:", result_table(by_goal, leave_out=["episodes"])]
     false = (summary.get("greedy") or {}).get("false_stop_rate", 0.0)
@@ -143,35 +163,6 @@ def read_columns(file: Path, *names: str) -> dict[str, NDArray[np.float64]]:
     """Return some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
     rows = read_rows(file) if file.is_file() else []
     return {name: np.array([float(row[name] or "nan") for row in rows], float) for name in names}
-
-
-def _heading(summary: Summary) -> str:
-    facts = [] if "agent" in summary else [f"{summary['frames']:,} frames"]
-    if (rate := summary.get("frames_per_second")) is not None:
-        facts.append(f"{rate:,.0f} frames/s")
-    if (seconds := summary.get("seconds")) is not None:
-        minutes = round(seconds / 60)
-        longer = f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
-        facts.append(f"{longer if seconds >= 120 else f'{seconds:.1f} s'} in all")
-    if "stable_at_frame" in summary:
-        stable = summary["stable_at_frame"]
-        facts.append("never stable" if stable is None else f"stable at {stable:,} frames")
-    if (memory := summary.get("peak_memory_mb")) is not None:
-        facts.append(f"peak memory {memory:,.0f} MB")
-    text = ": ".join([run_title(summary), *([", ".join(facts)] if facts else [])])
-    return textwrap.fill(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
-
-
-def _by_goal(scenes: Mapping[str, Summary]) -> dict[str, Mapping[str, float | None]]:
-    """Return a row for each goal; among several scenes also one for each scene, before its goals."""
-    rows: dict[str, Mapping[str, float | None]] = {}
-    for name, measures in scenes.items():
-        prefix = ""
-        if len(scenes) > 1:
-            rows[name] = measures
-            prefix = f"{name}, "
-        rows.update({f"{prefix}goal {goal}": of_goal for goal, of_goal in measures["goals"].items()})
-    return rows
 
 
 def _number(value: float | None, decimals: int) -> str:

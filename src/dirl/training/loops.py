@@ -10,7 +10,7 @@ A loop is used within its context, whose end stops the program if a signal came 
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -31,8 +31,8 @@ from dirl.models.distinct import reading_waits
 from dirl.runs.checkpoints import Facts, RunError, State, restoring
 from dirl.runs.errors import interruptible, leave
 from dirl.runs.folder import Run
-from dirl.training.build import build_env, build_expert, build_imitation_loss
-from dirl.training.objectives import Losses, demonstration_batches
+from dirl.training.build import build_env, build_expert
+from dirl.training.objectives import Losses
 from dirl.training.pairs import Demonstrations, with_labels
 from dirl.training.rollout import Report, collect
 
@@ -362,19 +362,6 @@ def how_to_go_on(runs: Sequence[Run]) -> str:
     """Return what is safe of a run, or of those of a stack, and how to continue."""
     again = f"go on with the same command and existing=keep hydra.sweep.dir={runs[0].folder.parent}"
     return runs[0].how_to_go_on() if len(runs) == 1 else f"all checkpoints are safe; {again}"
-
-
-def cloning(config: TrainConfig, policy: Any, demos: Demonstrations) -> Callable[[], TensorDictBase]:
-    """Return what compares the policy with the expert on a batch of demonstrations: loss and accuracy.
-
-    The policy of one run, or a `dirl.training.stacked.Stack`, which has its demonstrations.
-    """
-    if getattr(policy, "stacked", False):
-        compared: Callable[[], TensorDictBase] = policy.cloning()
-        return compared
-    loss, trunk = build_imitation_loss(config, policy), policy.trunk()
-    draw = demonstration_batches(policy, demos, config.imitation.batch_size)
-    return lambda: loss(trunk(draw().copy()))
 
 
 def dagger_rounds(run: Run, parts: Any, demos: Demonstrations) -> Iterator[tuple[Demonstrations, int]]:

@@ -9,7 +9,6 @@ import difflib
 import hashlib
 import io
 import json
-import math
 import os
 import re
 import secrets
@@ -341,15 +340,8 @@ def write_text(file: Path, text: str) -> None:
 
 def write_json(file: Path, data: object) -> None:
     """Write a JSON file, completely or not at all; NaN and infinity, which JSON lacks, become null."""
-
-    def plain(value: object) -> object:
-        if isinstance(value, Mapping):
-            return {key: plain(inner) for key, inner in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(inner) for inner in value]
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    write_text(file, json.dumps(plain(data), indent=1, allow_nan=False) + "\n")
+    finite = json.loads(json.dumps(data), parse_constant=lambda _: None)
+    write_text(file, json.dumps(finite, indent=1, allow_nan=False) + "\n")
 
 
 def file_digest(path: Path) -> str:

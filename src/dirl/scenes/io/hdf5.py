@@ -113,11 +113,13 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         raise SceneError(f"graph: {states} states are more than the {MAX_STATES} this package can hold")
     location = _open_dataset(file, "location", "iuf", (states, 2))
     rotation = _open_dataset(file, "rotation", "iuf", (states,))
+    for dataset in (graph, location, rotation):
+        _check_storage(dataset)
     features = _open_features(file, states)
     views = _open_views(file, states)
     mapped = _locate_mapped(file, path, states)
     if "shortest_path_distance" in file:  # never used, but the digest is over it
-        _open_dataset(file, "shortest_path_distance", "iuf", (states, states))
+        _check_storage(_open_dataset(file, "shortest_path_distance", "iuf", (states, states)))
     verified = intact or check_digest(file)
     values: NDArray[np.floating] | None = None
     if features is not None:
@@ -155,6 +157,7 @@ def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
             "resnet_feature: expected shape (states, features) or (states, crops, features), fewer crops than features "
             f"and {MAX_FEATURE_VALUES} features of all states at most, found {dataset.shape}"
         )
+    _check_storage(dataset)
     return dataset
 
 
@@ -198,11 +201,7 @@ def _text_attribute(holder: h5py.File | h5py.Dataset, name: str) -> str:
 
 
 def _open_dataset(file: h5py.File, name: str, kinds: str, *shapes: tuple[int | None, ...]) -> h5py.Dataset:
-    """Return a dataset whose place, type and shape are as expected, and all of whose values were written.
-
-    The values are not read. How they are packed is not looked at: what takes too much memory or time ends the process
-    that reads them.
-    """
+    """Return a dataset of the file itself whose type and shape are as expected; its values are not read."""
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise SceneError(f"{name}: is a link to elsewhere; a dump must hold its own data")
     dataset = file[name]
@@ -218,14 +217,22 @@ def _open_dataset(file: h5py.File, name: str, kinds: str, *shapes: tuple[int | N
     if not any(all(w in (None, f) for w, f in zip(shape, found, strict=True)) for shape in alike):
         told = [", ".join("any" if size is None else str(size) for size in shape) for shape in shapes]
         raise SceneError(f"{name}: expected shape ({') or ('.join(told)}), found {found}")
+    return dataset
+
+
+def _check_storage(dataset: h5py.Dataset) -> None:
+    """Raise `SceneError` unless all of a dataset's values have been written.
+
+    How they are packed is not looked at: what takes too much memory or time ends the process that reads them.
+    """
     if dataset.chunks:
         count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
         complete = dataset.id.get_num_chunks() >= count
     else:
         complete = dataset.id.get_storage_size() > 0 or not dataset.size
     if not complete:
+        name = dataset.name.removeprefix("/")
         raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
-    return dataset
 
 
 def _short(value: object, show: Callable[[object], str] = repr) -> str:
@@ -261,6 +268,7 @@ def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...
         raise SceneError(
             f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
         )
+    _check_storage(dataset)
     offset: int | None = dataset.id.get_offset()
     if offset is None:
         raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
@@ -275,6 +283,7 @@ def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
         dataset = _open_dataset(file, "observation_webp", "O", (states,))
         if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
             raise SceneError("observation_webp: expected byte strings (variable-length uint8)")
+        _check_storage(dataset)
         return dataset
     if "observation" not in file:
         return None
@@ -283,6 +292,7 @@ def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
         raise SceneError(f"observation: expected uint8 pixels, found {dataset.dtype}")
     if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
         raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
+    _check_storage(dataset)
     if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
         raise SceneError(
             f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
