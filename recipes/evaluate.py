@@ -11,8 +11,10 @@ All options: `Options` below.
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from annotated_types import Interval
+
 from dirl.cli.start import new_file, run, start
-from dirl.config.options import Bounds, option
+from dirl.config.options import option
 from dirl.config.schemas import (
     ConfigError,
     Correlation,
@@ -36,12 +38,12 @@ class Options:
     checkpoint: str = option("the folder of a run, or a .pt file in one")
     out: str | None = option("write the result to this file as JSON", None)
     trust: list[str] = option("packages whose classes the checkpoint's configuration may name, besides dirl's own", [])
-    map: Annotated[float, Bounds(0, 100)] | None = option(
+    map: Annotated[float, Interval(ge=0, le=100)] | None = option(
         "a topological map: walk once through each scene, 2 = twice as many steps as it has states, and go by the map; "
         "with episodic_memory=localising a map of places",
         None,
     )
-    last_steps: Annotated[int, Bounds(0, 10**6)] | None = option(
+    last_steps: Annotated[int, Interval(ge=0, le=10**6)] | None = option(
         "with map: so near the goal the policy decides; null = 3, 0 = the map leads to the end; not with localising",
         None,
     )
@@ -65,7 +67,9 @@ class Options:
         None,
     )
     slip: HeldOut = option("live only: the probability that an action has no effect", 0.0)
-    turn_error: Annotated[float, Bounds(0, 90)] = option("live only: standard deviation of each turn, degrees", 0.0)
+    turn_error: Annotated[float, Interval(ge=0, le=90)] = option(
+        "live only: standard deviation of each turn, degrees", 0.0
+    )
     scene: Any = option(
         "scenes to evaluate in: a dump that has moved, or other scenes with features of the same extractor", None
     )

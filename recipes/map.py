@@ -8,8 +8,10 @@ All options: `Options` below.
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from annotated_types import Interval
+
 from dirl.cli.start import new_file, run, start
-from dirl.config.options import Bounds, option
+from dirl.config.options import option
 
 
 @dataclass
@@ -21,10 +23,10 @@ class Options:
     bag: str | None = option("instead of a video: a bag of ROS 1 or 2 (.bag, .mcap, a folder)", None)
     topic: str | None = option("of a bag's images; null = the only one", None)
     odometry: str | None = option("topic of a bag's nav_msgs/Odometry; null = the only one, if there is any", None)
-    every: Annotated[float, Bounds(0.02, 60)] = option(
+    every: Annotated[float, Interval(ge=0.02, le=60)] = option(
         "seconds between frames that are kept, whose views must overlap; of a folder all are kept", 1.0
     )
-    field_of_view: Annotated[float, Bounds(10, 150)] | None = option(
+    field_of_view: Annotated[float, Interval(ge=10, le=150)] | None = option(
         "of the camera from left to right, degrees; null = as the photos tell, else 65", None
     )
     points: str | None = option(

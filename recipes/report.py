@@ -11,8 +11,10 @@ All options: `Options` below.
 from dataclasses import dataclass
 from typing import Annotated
 
+from annotated_types import Ge
+
 from dirl.cli.start import run, start
-from dirl.config.options import Bounds, option
+from dirl.config.options import option
 from dirl.config.schemas import ConfigError, ExperimentName, Positive, TrainConfig
 
 
@@ -25,7 +27,7 @@ class Options:
     preset: str = option("of the runs", "fast")
     out: str | None = option("a folder for the result; null = reports/<preset>/<experiment>", None)
     scene: str = option("of fig6, which looks at one scene only", "bathroom_02")
-    goal: Annotated[int, Bounds(0)] = option("the new goal of fig6, a state of the scene", 51)
+    goal: Annotated[int, Ge(0)] = option("the new goal of fig6, a state of the scene", 51)
     starts: Positive = option("of each new goal of fig5", 500)
     folder: str | None = option("sptm: what github.com/nsavinov/SPTM was cloned to", None)
     trials: Positive = option("sptm: of each start and goal", 6)

@@ -19,17 +19,19 @@ The options of each command stand in its dataclass below, whose docstring is its
 from dataclasses import dataclass
 from typing import Annotated
 
+from annotated_types import Ge, Interval
+
 from dirl.cli.start import check_writable, new_file, run, start
-from dirl.config.options import Bounds, option
+from dirl.config.options import option
 from dirl.config.schemas import Correlation, Device, Match, NotNegative, Positive, Seed
 
-Pixels = Annotated[int, Bounds(16, 4096)]
-FieldOfView = Annotated[float, Bounds(10, 150)]
-Step = Annotated[float, Bounds(0.05, 10)]
-Turn = Annotated[float, Bounds(1, 360)]
-Headings = Annotated[int, Bounds(4, 360)]
-Places = Annotated[int, Bounds(2)]
-Looks = Annotated[int, Bounds(0, 1000)]
+Pixels = Annotated[int, Interval(ge=16, le=4096)]
+FieldOfView = Annotated[float, Interval(ge=10, le=150)]
+Step = Annotated[float, Interval(ge=0.05, le=10)]
+Turn = Annotated[float, Interval(ge=1, le=360)]
+Headings = Annotated[int, Interval(ge=4, le=360)]
+Places = Annotated[int, Ge(2)]
+Looks = Annotated[int, Interval(ge=0, le=1000)]
 
 DUMP = "the dump to write (.h5)"
 STEP = "metres between neighbouring places"
@@ -200,7 +202,7 @@ class TourOptions(EncodedForGeneral):
     out: str = option(DUMP)
     name: str | None = option("name of the scene; null = the tour's", None)
     skip: list[str] = option("panoramas that are left out, by name: [hall, stairs]", [])
-    headings: Annotated[int, Bounds(4, 36)] = option(
+    headings: Annotated[int, Interval(ge=4, le=36)] = option(
         "of each panorama, a multiple of 4: 4, 8 and 12 are turns of 90, 45 and 30 degrees", 8
     )
     compare_images: bool = option(

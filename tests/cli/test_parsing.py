@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import pytest
+from annotated_types import Interval
 from options import SCHEMAS
 from refusals import refused
 
 from dirl.cli.parsing import compose_training, parse, prepare
 from dirl.config.files import typed
-from dirl.config.options import Bounds, meanings, option, option_types
+from dirl.config.options import meanings, option, option_types
 from dirl.config.schemas import Device
 
 
@@ -25,7 +26,7 @@ class Options:
     """What a command takes."""
 
     file: str = option("the file to read")
-    count: Annotated[int, Bounds(1, 9)] | None = option("how many", None)
+    count: Annotated[int, Interval(ge=1, le=9)] | None = option("how many", None)
     device: Device = option("", Device.cpu)
     axes: list[str] = option("", ["x"])
     anything: Any = option("", None)

@@ -5,12 +5,12 @@ from functools import partial
 from typing import Annotated, Literal
 
 import pytest
+from annotated_types import Interval
 from commands import train_config
 from refusals import refused
 from torch import nn
 
 from dirl.config.components import check_components, components, find_class, make, packages_to_trust, schedules
-from dirl.config.options import Bounds
 from dirl.config.schemas import Schedule
 
 
@@ -20,7 +20,7 @@ class Mine(nn.Module):
     def __init__(
         self,
         num_features: int,
-        depth: Annotated[int, Bounds(1, 8)],
+        depth: Annotated[int, Interval(ge=1, le=8)],
         kind: Literal["mean", "max"] = "mean",
         plain=None,
     ) -> None:

@@ -5,13 +5,13 @@ from typing import Annotated, Any, Literal
 
 import pytest
 import torch
+from annotated_types import Interval
 from refusals import refused
 
 from dirl.config.components import check_value
-from dirl.config.options import Bounds
 from dirl.config.schemas import Device
 
-Count = Annotated[int, Bounds(0, 9)]
+Count = Annotated[int, Interval(ge=0, le=9)]
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Components by ``_target_``: finding the class that a configuration names, checking its options, making it.
 
 A group of ``conf/`` (``encoder``, ``losses``, ...) names a class by its full path and gives its options. The class's
-annotated signature defines the valid options: types, and bounds by `dirl.config.options.Bounds`. Further arguments (the
+annotated signature defines the valid options: types, and bounds of ``annotated_types``. Further arguments (the
 world, the width of a view's features) are passed by the names of its parameters, see `GROUPS`.
 """
 

@@ -1,28 +1,15 @@
-"""Fields of a dataclass of options: type and `Bounds` are in the annotation, value and meaning in `option`."""
+"""Fields of a dataclass of options: value and meaning are in `option`, type and bounds in the annotation.
+
+Bounds are those of ``annotated_types``, ``Annotated[int, Ge(1)]`` or ``Annotated[float, Interval(ge=0, le=1)]``.
+"""
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from annotated_types import BaseMetadata, Ge, GroupedMetadata, Le
-
 MISSING = "???"
 """OmegaConf's mark, whose import would take a tenth of a second."""
-
-
-@dataclass(frozen=True)
-class Bounds(GroupedMetadata):
-    """The smallest and the largest value of a number, both included: ``Annotated[int, Bounds(1)]``; None = no bound."""
-
-    least: float | None = None
-    most: float | None = None
-
-    def __iter__(self) -> Iterator[BaseMetadata]:
-        """Yield them as pydantic reads them."""
-        yield from [Ge(self.least)] if self.least is not None else []
-        yield from [Le(self.most)] if self.most is not None else []
 
 
 def option(meaning: str = "", default: object = MISSING) -> Any:

@@ -4,7 +4,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Any
 
-from dirl.config.options import Bounds, option
+from annotated_types import Ge, Interval
+
+from dirl.config.options import option
 
 Device = StrEnum("Device", ["cpu", "cuda"])
 Axes = StrEnum("Axes", ["features", "principal"])
@@ -22,16 +24,16 @@ Until = StrEnum("Until", ["frames", "stable"])
 Starts = StrEnum("Starts", ["every", "sampled"])
 LoggerName = StrEnum("LoggerName", ["csv", "wandb"])
 
-Positive = Annotated[int, Bounds(1)]
-NotNegative = Annotated[float, Bounds(0)]
-Fraction = Annotated[float, Bounds(0, 1)]
-HeldOut = Annotated[float, Bounds(0, 0.99)]
-Correlation = Annotated[float, Bounds(-1, 1)]
-Reward = Annotated[float, Bounds(-(10**6), 10**6)]
-Seed = Annotated[int, Bounds(0, 2**63 - 1)]
-Agents = Annotated[int, Bounds(1, 10**6)]
-Episodes = Annotated[int, Bounds(1, 10**7)]
-Frames = Annotated[int, Bounds(1, 10**12)]
+Positive = Annotated[int, Ge(1)]
+NotNegative = Annotated[float, Ge(0)]
+Fraction = Annotated[float, Interval(ge=0, le=1)]
+HeldOut = Annotated[float, Interval(ge=0, le=0.99)]
+Correlation = Annotated[float, Interval(ge=-1, le=1)]
+Reward = Annotated[float, Interval(ge=-(10**6), le=10**6)]
+Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
+Agents = Annotated[int, Interval(ge=1, le=10**6)]
+Episodes = Annotated[int, Interval(ge=1, le=10**7)]
+Frames = Annotated[int, Interval(ge=1, le=10**12)]
 
 
 Component = Any
@@ -73,7 +75,7 @@ class NetworkConfig:
     axes: Axes = option(
         "principal: learn the embedding in the span of the observations, far fewer operations | features"
     )
-    components: Annotated[int, Bounds(1, 65_536)] | None = option(
+    components: Annotated[int, Interval(ge=1, le=65_536)] | None = option(
         "principal components of a view's features, scaled to deviation 1, that are read; null = features", None
     )
 
@@ -103,11 +105,11 @@ class ImitationConfig:
     front_only: Fraction = option(
         "fraction of sampled pairs whose goal is given by its front view alone (single-view goals)", 0.0
     )
-    noise: Annotated[float, Bounds(0, 100)] = option(
+    noise: Annotated[float, Interval(ge=0, le=100)] = option(
         "deviation of the Gaussian noise on the views that are learned from", 0.0
     )
     lr_decay: bool = option("true: the learning rate falls linearly to zero", False)
-    rounds: Annotated[int, Bounds(0)] = option(
+    rounds: Annotated[int, Ge(0)] = option(
         "of DAgger: the learner walks, the expert labels the states it visits, and all labels are cloned"
     )
     walk_steps: Positive = option("steps of every agent in a round")
@@ -124,7 +126,7 @@ class ReinforcementConfig:
         Until.frames,
     )
     agents_per_scene: Agents = option("in one batch")
-    workers: Annotated[int, Bounds(1, 1024)] = option(
+    workers: Annotated[int, Interval(ge=1, le=1024)] = option(
         "1: rollouts and updates alternate | more: processes that update shared weights without a lock"
     )
     n_steps: Agents = option("of every agent between two updates (the paper's t_max)")
@@ -168,7 +170,9 @@ class EvaluationConfig:
     starts: Starts = option("every: each state that reaches the goal (exact) | sampled: random states")
     episodes_per_goal: Episodes = option("how many starts are sampled (sampled only)")
     max_steps: Episodes = option("after so many steps an episode has failed")
-    times: Annotated[int, Bounds(0, 10**6)] = option("evaluations during training, evenly spaced (greedy policy)")
+    times: Annotated[int, Interval(ge=0, le=10**6)] = option(
+        "evaluations during training, evenly spaced (greedy policy)"
+    )
     live_episodes: Positive = option("of each evaluation in the simulator, evenly over goals (env=live only)", 100)
 
 

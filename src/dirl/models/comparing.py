@@ -4,9 +4,9 @@ from typing import Annotated
 
 import torch
 import torch.nn.functional as F
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
 
 SCALE = 5.0
@@ -42,11 +42,11 @@ class ComparingEncoder(nn.Module):
         self,
         num_features: int,
         patch_shape: tuple[int, int],
-        width: Annotated[int, Bounds(1, 65_536)] = 512,
-        comparison: Annotated[int, Bounds(1, 65_536)] = 256,
-        projection: Annotated[int, Bounds(1, 4096)] = 32,
-        view_projection: Annotated[int, Bounds(1, 4096)] = 64,
-        pair_width: Annotated[int, Bounds(0, 4096)] = 0,
+        width: Annotated[int, Interval(ge=1, le=65_536)] = 512,
+        comparison: Annotated[int, Interval(ge=1, le=65_536)] = 256,
+        projection: Annotated[int, Interval(ge=1, le=4096)] = 32,
+        view_projection: Annotated[int, Interval(ge=1, le=4096)] = 64,
+        pair_width: Annotated[int, Interval(ge=0, le=4096)] = 0,
     ) -> None:
         super().__init__()
         cells, channels = patch_shape

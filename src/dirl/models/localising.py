@@ -7,9 +7,9 @@ from functools import cache
 from typing import Annotated, Self
 
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
 from dirl.models.planning import SURE, Nodes, again_costs, cheapest, connect
 from dirl.scenes import ACTIONS
@@ -137,19 +137,19 @@ class LocalisingMemory(nn.Module):
 
     def __init__(
         self,
-        repeated: Annotated[float, Bounds(0, 1000)] = 2.0,
-        turn: Annotated[float, Bounds(0.001, 1000)] = 0.1,
-        blocked: Annotated[float, Bounds(0.001, 0.999)] = 0.25,
-        slip: Annotated[float, Bounds(1e-9, 0.5)] = 0.02,
-        confidence: Annotated[float, Bounds(0.01, 0.9999)] = 0.95,
-        settle: Annotated[float, Bounds(0.01, 0.9999)] = 0.5,
-        elsewhere: Annotated[float, Bounds(1e-6, 1e6)] = 0.004,
-        neighbour: Annotated[float, Bounds(0, 1e6)] = 0.5,
+        repeated: Annotated[float, Interval(ge=0, le=1000)] = 2.0,
+        turn: Annotated[float, Interval(ge=0.001, le=1000)] = 0.1,
+        blocked: Annotated[float, Interval(ge=0.001, le=0.999)] = 0.25,
+        slip: Annotated[float, Interval(ge=1e-9, le=0.5)] = 0.02,
+        confidence: Annotated[float, Interval(ge=0.01, le=0.9999)] = 0.95,
+        settle: Annotated[float, Interval(ge=0.01, le=0.9999)] = 0.5,
+        elsewhere: Annotated[float, Interval(ge=1e-6, le=1e6)] = 0.004,
+        neighbour: Annotated[float, Interval(ge=0, le=1e6)] = 0.5,
         seek: float = 1.0,
-        correlation: Annotated[float, Bounds(0, 1)] = 0.5,
+        correlation: Annotated[float, Interval(ge=0, le=1)] = 0.5,
         least: float = -3.0,
-        independence: Annotated[float, Bounds(0, 1)] = 0.5,
-        temperature: Annotated[float, Bounds(0.01, 100)] = 2.5,
+        independence: Annotated[float, Interval(ge=0, le=1)] = 0.5,
+        temperature: Annotated[float, Interval(ge=0.01, le=100)] = 2.5,
     ) -> None:
         super().__init__()
         self.repeated, self.turn, self.blocked, self.slip = repeated, turn, blocked, slip

@@ -6,9 +6,9 @@ from typing import Annotated, Self
 
 import torch
 import torch.nn.functional as F
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
@@ -92,9 +92,9 @@ class PlanningMemory(nn.Module):
 
     def __init__(
         self,
-        repeated: Annotated[float, Bounds(0, 1000)] = 2.0,
-        turn: Annotated[float, Bounds(0.001, 1000)] = 0.1,
-        threshold: Annotated[float, Bounds(-1, 1)] = 0.95,
+        repeated: Annotated[float, Interval(ge=0, le=1000)] = 2.0,
+        turn: Annotated[float, Interval(ge=0.001, le=1000)] = 0.1,
+        threshold: Annotated[float, Interval(ge=-1, le=1)] = 0.95,
     ) -> None:
         super().__init__()
         self.repeated, self.turn, self.threshold = repeated, turn, threshold

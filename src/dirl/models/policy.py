@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar
 
 import torch
 import torch.nn.functional as F
+from annotated_types import Interval
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
@@ -18,7 +19,6 @@ from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 from torchrl.modules import ActorValueOperator, ProbabilisticActor
 
-from dirl.config.options import Bounds
 from dirl.envs.transforms import VIEWS
 from dirl.models.distinct import Cacheable, CachedEncoder, packable, reading_waits
 from dirl.models.features import FeatureTable, ObservationTable
@@ -44,7 +44,7 @@ class SiameseEncoder(nn.Module):
     """The layers that read a whole observation, and so can read it in other coordinates as well."""
 
     def __init__(
-        self, num_features: int, width: Annotated[int, Bounds(1, 65_536)] = 512, num_views: int = VIEWS
+        self, num_features: int, width: Annotated[int, Interval(ge=1, le=65_536)] = 512, num_views: int = VIEWS
     ) -> None:
         super().__init__()
         self.width, self.num_views = width, num_views
@@ -90,7 +90,7 @@ class ActorCriticHeads(nn.Module):
         scenes: Sequence[str],
         in_features: int,
         num_actions: int,
-        width: Annotated[int, Bounds(1, 65_536)] = 512,
+        width: Annotated[int, Interval(ge=1, le=65_536)] = 512,
         shared: bool = False,
     ) -> None:
         super().__init__()

@@ -92,11 +92,6 @@ def build_goals(config: TrainConfig, scenes: Sequence[Scene]) -> ChosenGoals:
     return choose_goals(scenes, config.goals, config.hold_out, config.seed)
 
 
-def is_live(config: TrainConfig) -> bool:
-    """True if a run is in a simulator."""
-    return config.env.get("simulator") is not None
-
-
 def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
     """Return the transform that computes what agents observe.
 
@@ -135,7 +130,7 @@ def build_env(
         )
     options: Options = config.env
     offered: dict[str, object] = {}
-    live = is_live(config)
+    live = "simulator" in config.env
     if live:
         from dirl.training.live import open_live  # late: with it comes all that a navigator needs
 
@@ -408,7 +403,7 @@ def learning_policy(
         trained = {name: world.local_goals(index).tolist() for index, name in enumerate(world.names)}
         everywhere = world.with_goals({name: (*trained[name], *held_out[name]) for name in world.names})
     views = len(observation.order)
-    live = is_live(config)
+    live = "simulator" in config.env
     room = config.env["views"] if live else 0  # for views that are not in the world
     table = features or feature_table(config, world, initial, str(config.init), room=room)
     surrounding, front = (None, False) if live else _seen_of_each(observation, front=config.imitation.front_only > 0)

@@ -39,7 +39,6 @@ from dirl.training.build import (
     build_world,
     describe,
     initial_weights,
-    is_live,
     learning_policy,
     with_architecture,
 )
@@ -154,7 +153,7 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
         protocol = build_protocol(run.config, world, observation, goals.held_out)
     else:
         protocol = replace(like.protocol, seed=run.config.seed)
-    if is_live(run.config):
+    if "simulator" in run.config.env:
         from dirl.training.live import live_protocol, open_live  # late, see `build_env`
 
         live = open_live(run.config, world, observation)

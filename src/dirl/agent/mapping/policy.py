@@ -3,13 +3,13 @@
 from typing import Annotated, Any, ClassVar
 
 import torch
+from annotated_types import Ge, Interval
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dirl.agent.mapping.graph import ImageGraph, MapError
 from dirl.agent.mapping.walks import explore
-from dirl.config.options import Bounds
 from dirl.perception.recognition.recogniser import NCC, described_visits
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import turns_per_circle
@@ -95,9 +95,9 @@ class GraphMemory(TensorDictModuleBase):
     def __init__(
         self,
         world: World,
-        steps_per_state: Annotated[float, Bounds(0, 100)] = 2.0,
-        threshold: Annotated[float, Bounds(-1, 1)] = 0.9,
-        seed: Annotated[int, Bounds(0)] = 0,
+        steps_per_state: Annotated[float, Interval(ge=0, le=100)] = 2.0,
+        threshold: Annotated[float, Interval(ge=-1, le=1)] = 0.9,
+        seed: Annotated[int, Ge(0)] = 0,
         merge: bool = True,
         recogniser: Any = None,
     ) -> None:

@@ -5,9 +5,9 @@ from typing import Annotated, Self
 
 import torch
 import torch.nn.functional as F
+from annotated_types import Interval
 from torch import Tensor, nn
 
-from dirl.config.options import Bounds
 from dirl.perception.backbones.patches import are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.photo import PhotoOdds
@@ -68,8 +68,8 @@ class Learned(nn.Module):
         views: float = 4.0,
         photo: float = 4.0,
         memory: float = 2.0,
-        width: Annotated[int, Bounds(1, 4096)] = 64,
-        dropout: Annotated[float, Bounds(0, 0.9)] = 0.25,
+        width: Annotated[int, Interval(ge=1, le=4096)] = 64,
+        dropout: Annotated[float, Interval(ge=0, le=0.9)] = 0.25,
         weights: str | None = None,
     ) -> None:
         super().__init__()
