@@ -121,7 +121,9 @@ def test_messages_of_cameras_become_pixels(ros2):
         ros2.pixels(message)
 
 
-@pytest.mark.parametrize("name", ["find_withheld_frames", "measure_turns", "train_columns", "walk_miniworld"])
+@pytest.mark.parametrize(
+    "name", ["find_withheld_frames", "measure_gpu", "measure_turns", "train_columns", "walk_miniworld"]
+)
 def test_an_example_tells_its_options(name, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [name, "--help"])
     with pytest.raises(SystemExit) as ended:

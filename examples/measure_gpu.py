@@ -1,14 +1,15 @@
 """What stacks and CUDA graphs are worth on this machine's GPU: prints the table of docs/howto/gpu.md as it is measured.
 
-    python tests/measure_gpu.py                  # under four minutes on an H100
-    python tests/measure_gpu.py device=cpu small=true seconds=600     # the same on a CPU, in miniature
-    python tests/measure_gpu.py parts=0,3 out=FOLDER                  # some of `PARTS`; FOLDER gets seeds.json
+    python examples/measure_gpu.py                                     # under four minutes on an H100
+    python examples/measure_gpu.py device=cpu small=true seconds=600   # the same on a CPU, in miniature
+    python examples/measure_gpu.py "parts=[0,3]" out=FOLDER            # some of `PARTS`; FOLDER gets seeds.json
 
 Parts that would not end within ``seconds`` are left out. Every row is printed when it is known.
 """
 
 import contextlib
 import copy
+import importlib
 import io
 import json
 import shutil
@@ -17,32 +18,38 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
+import torch
+
+from dirl.cli.parsing import compose_training
+from dirl.cli.start import run, start
+from dirl.config.files import typed
+from dirl.config.options import option
+from dirl.config.schemas import Device
+from dirl.evaluation.protocol import metrics
+from dirl.models import plain_weights
+from dirl.runs.checkpoints import load_checkpoint
+from dirl.training.job import build_components, prepare_device
+from dirl.training.loops import updates
+from dirl.training.stacked import Job, Stack, run_together
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "src"), str(ROOT / "recipes")]
-GIVEN = dict(argument.split("=") for argument in sys.argv[1:])
-sys.argv = [str(ROOT / "recipes" / "train.py")]
+sys.path.insert(0, str(ROOT / "recipes"))
+recipe = importlib.import_module("train")
 
-BEGAN = time.perf_counter()
 
-import torch  # noqa: E402
-import train as recipe  # noqa: E402
+@dataclass
+class Options:
+    """What are stacks and CUDA graphs worth on this machine's GPU?"""
 
-from dirl.cli.parsing import compose_training  # noqa: E402
-from dirl.config.files import typed  # noqa: E402
-from dirl.evaluation.protocol import metrics  # noqa: E402
-from dirl.models import plain_weights  # noqa: E402
-from dirl.runs.checkpoints import load_checkpoint  # noqa: E402
-from dirl.training.job import build_components, prepare_device  # noqa: E402
-from dirl.training.loops import updates  # noqa: E402
-from dirl.training.stacked import Job, Stack, run_together  # noqa: E402
-
-DEVICE = GIVEN.get("device", "cuda")
-SECONDS = float(GIVEN.get("seconds", 200))
-SMALL = ["reinforcement.frames_per_scene=1600", "imitation.max_steps=10"] if "small" in GIVEN else []
-FOLDER = Path(tempfile.mkdtemp())
+    device: Device = option("", Device.cuda)
+    seconds: float = option("parts that would not end within this time are left out", 200.0)
+    small: bool = option("trainings in miniature", False)
+    parts: list[int] | None = option("numbers of the parts to measure; null = all", None)
+    out: str | None = option("a folder that gets seeds.json", None)
 
 
 def say(*columns):
@@ -50,7 +57,7 @@ def say(*columns):
     print(" | ".join(str(column) for column in columns), flush=True)
 
 
-def run(*arguments):
+def run_recipe(*arguments):
     """Run a recipe as a user does; the lines of its standard error."""
     done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -62,7 +69,7 @@ def command(*options):
     """A whole command as a user gives it: seconds in all, and the summary of its run."""
     folder = Path(tempfile.mkdtemp())
     began = time.perf_counter()
-    told = run("recipes/train.py", *options, *SMALL, f"device={DEVICE}", f"hydra.run.dir={folder}/run")
+    told = run_recipe("recipes/train.py", *options, *SMALL, f"device={DEVICE}", f"hydra.run.dir={folder}/run")
     seconds = time.perf_counter() - began
     row("command", " ".join(options), [json.loads((folder / "run/summary.json").read_text())], seconds)
     for line in told:
@@ -124,13 +131,13 @@ def seeds(count, *options, at_once=250):
         row(f"seeds {first} to {len(found) - 1}", " ".join(options), trained, needs)
     failed = sum(own["greedy"]["sr"] < 0.99 for own in found)
     say(f"{failed} of {len(found)} seeds have an SR below .99")
-    if "out" in GIVEN:
-        (Path(GIVEN["out"]) / "seeds.json").write_text(json.dumps(found))
+    if OPTIONS.out is not None:
+        (Path(OPTIONS.out) / "seeds.json").write_text(json.dumps(found))
 
 
 def left():
     """Seconds that are left."""
-    return SECONDS - (time.perf_counter() - BEGAN)
+    return OPTIONS.seconds - (time.perf_counter() - BEGAN)
 
 
 def same_seed(count, *options):
@@ -146,6 +153,7 @@ class OneUpdate:
     goes_on = True
 
     def record(self, reports):
+        """Stop after the first."""
         self.goes_on = False
 
 
@@ -214,7 +222,7 @@ def grid(experiment, *options):
         ["recipes/train.py", "-m", "hydra/launcher=stacked", *given],
         ["recipes/report.py", f"experiment={experiment}", f"runs={folder}", f"out={FOLDER}/report"],
     ):
-        run(*arguments)
+        run_recipe(*arguments)
         seconds = time.perf_counter() - began
         runs = len(list(folder.glob("**/summary.json")))
         say(arguments[0], " ".join(arguments[1:3]), *options, f"{runs} runs", f"{seconds:.1f} s since its beginning")
@@ -236,10 +244,10 @@ PARTS = [  # about how many seconds each takes on an H100, and what it measures
 
 
 def main():
+    """Print a row for each part."""
     if DEVICE == "cuda":
         say(torch.cuda.get_device_name(), f"torch {torch.__version__}")
-    say(f"imports {time.perf_counter() - BEGAN:.1f} s")
-    for number in map(int, GIVEN["parts"].split(",")) if "parts" in GIVEN else range(len(PARTS)):
+    for number in range(len(PARTS)) if OPTIONS.parts is None else OPTIONS.parts:
         needs, part = PARTS[number]
         if left() < needs:
             say(f"part {number}: left out, {left():.0f} s left")
@@ -252,4 +260,9 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    OPTIONS = start(__doc__, Options)
+    BEGAN = time.perf_counter()
+    DEVICE = OPTIONS.device.value
+    SMALL = ["reinforcement.frames_per_scene=1600", "imitation.max_steps=10"] if OPTIONS.small else []
+    FOLDER = Path(tempfile.mkdtemp())
+    run(main)
