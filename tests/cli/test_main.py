@@ -1,15 +1,21 @@
-"""The command dirl, forked before any import of torch; the wheel that holds it is tested in test_wheel.py."""
+"""The command dirl, which imports no torch for what is asked here; its wheel is tested in test_wheel.py."""
+
+import subprocess
+import sys
 
 import pytest
-from commands import run_recipe
+
+PROGRAM = "import atexit, sys; atexit.register(lambda: print('torch' in sys.modules, file=sys.stderr)); "
+PROGRAM += "from dirl.cli.main import main; main()"
 
 
 def dirl(folder, *arguments):
     """Run ``dirl``, which must not import torch; what it printed, and its message."""
-    _, printed, errors = run_recipe(folder, "dirl", *arguments)
-    *lines, imported = errors.splitlines()
+    command = [sys.executable, "-c", PROGRAM, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+    *lines, imported = done.stderr.removeprefix("loading ...\n").splitlines()
     assert imported == "False"
-    return printed, "\n".join(lines)
+    return done.stdout, "\n".join(lines)
 
 
 @pytest.mark.parametrize(

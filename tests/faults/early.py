@@ -71,7 +71,7 @@ def kill(tool, words, delay, folder):
     child = Child(folder, tool, *words, prepare=partial(os.environ.update, DIRL_EARLY=word))
     while time.monotonic() < began + 3 * delay and processor_seconds(child.pid) < delay:
         time.sleep(0.005)
-    child.kill()
+    child.send_signal()
     ended = child.wait().status != -signal.SIGKILL
     return left_behind(word, before), ended
 

@@ -142,7 +142,7 @@ def kills(bench, times, rng):
         for _ in range(min(rng.randint(1, 6), times - done)):
             child = bench.start(folder, no_pictures)
             time.sleep(rng.uniform(0, bench.seconds))
-            child.kill()
+            child.send_signal()
             ended = child.wait()
             if ended.status == -signal.SIGKILL:
                 killed += 1
@@ -160,7 +160,7 @@ def signals(bench, times, rng):
         folder, sent = bench.new_folder(), (signal.SIGINT, signal.SIGTERM)[number % 2]
         child = bench.start(folder)
         time.sleep(rng.uniform(0.2, 1) * bench.seconds)
-        child.kill(sent)
+        child.send_signal(sent)
         ended = child.wait()
         problem = "" if ended.status == 0 else refused(ended, 128 + sent)
         yield f"{sent.name}, {ended.told}", problem or bench.finish(folder)

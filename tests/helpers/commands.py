@@ -2,10 +2,15 @@
 
 import copy
 import functools
+import multiprocessing
+import os
+import sys
 import time
+from multiprocessing.forkserver import ensure_running
+from unittest.mock import patch
 
-from fork_server import Started as start_recipe
 from forks import ROOT as ROOT
+from forks import Child, as_new
 from rooms import grid_scene
 
 from dirl.cli.parsing import compose_training, parsed
@@ -31,8 +36,23 @@ SHORT = [*TINY, "imitation.max_steps=10", SAVED]
 """A run that is made hundreds of times, to be killed and spoilt."""
 
 
+@functools.cache
+def _serve():
+    """Start the server whose forks are recipes."""
+    multiprocessing.get_context("forkserver").set_forkserver_preload(["warmed"])
+    with patch.dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)):
+        ensure_running()
+
+
+def start_recipe(folder, name, *arguments):
+    """Start a recipe in a folder, see `Child`; the pictures of a training are left empty."""
+    _serve()
+    prepare = functools.partial(as_new, dict(os.environ), pictures=name != "train")
+    return Child(folder, name, *arguments, prepare=prepare, method="forkserver")
+
+
 def run_recipe(folder, name, *arguments):
-    """Run a recipe in a folder, in a fork, as `start_recipe`; its exit status, what it printed, and its errors."""
+    """Run a recipe in a folder, as `start_recipe`; its exit status, what it printed, and its errors."""
     ended = start_recipe(folder, name, *arguments).wait()
     return ended.status, ended.printed, ended.errors
 

@@ -1,10 +1,13 @@
 """Recipes run again and again without the seconds that their imports take: each in a fork of one process.
 
-A child is what ``python recipes/<name>.py <arguments>`` would be, after its imports.
+A child is what ``python recipes/<name>.py <arguments>`` would be, after its imports. Campaigns fork themselves. pytest
+cannot: what a test did to its process, and the threads that torch started there, would be in the child. It forks a
+server that does nothing but import, see `commands.start_recipe`.
 """
 
 import atexit
 import importlib
+import multiprocessing
 import os
 import runpy
 import signal
@@ -18,11 +21,6 @@ from pathlib import Path
 from unittest.mock import patch
 
 ROOT = Path(__file__).parents[2]
-
-
-def recipe_file(name):
-    """The program of that name: a recipe, the benchmark, or the command ``dirl``."""
-    return ROOT / "src/dirl/cli/main.py" if name == "dirl" else ROOT / "recipes" / f"{name}.py"
 
 
 @dataclass
@@ -57,40 +55,33 @@ class Child:
         name: of the recipe.
         arguments: of its command line.
         prepare: called in the child before the recipe.
+        method: "forkserver" forks the server of `multiprocessing`, "fork" this process.
     """
 
-    def __init__(self, folder, name, *arguments, prepare=lambda: None):
-        words = [str(argument) for argument in arguments]
-        self.files = [tempfile.TemporaryFile() for _ in ("printed", "errors")]  # noqa: SIM115
+    def __init__(self, folder, name, *arguments, prepare=lambda: None, method="fork"):
+        self.files = [tempfile.NamedTemporaryFile() for _ in ("printed", "errors")]  # noqa: SIM115
+        words = [str(ROOT / "recipes" / f"{name}.py"), *map(str, arguments)]
+        given = (folder, words, [file.name for file in self.files], prepare)
+        self.process = multiprocessing.get_context(method).Process(target=_become, args=given)
         sys.stdout.flush()
         sys.stderr.flush()
-        self.pid = os.fork()
-        if self.pid == 0:
-            _become(folder, recipe_file(name), words, self.files, prepare)
+        self.process.start()
+        self.pid = self.process.pid
 
-    def kill(self, number=signal.SIGKILL):
+    def send_signal(self, number=signal.SIGKILL):
         """Send it a signal."""
         os.kill(self.pid, number)
 
     def wait(self, timeout=120.0, patience=5):
         """Wait for its end; stop it after so many processor seconds, or ``patience`` times as many of the clock."""
-        began, ended = time.monotonic(), 0
-        while not ended:
-            ended, status = os.waitpid(self.pid, os.WNOHANG)
-            if not ended and (processor_seconds(self.pid) > timeout or time.monotonic() - began > patience * timeout):
-                self.kill()
-                os.waitpid(self.pid, 0)
-                return Ended(None, *self._texts())
+        began, stopped = time.monotonic(), False
+        while self.process.exitcode is None:
+            if processor_seconds(self.pid) > timeout or time.monotonic() - began > patience * timeout:
+                stopped = True
+                self.process.kill()
             time.sleep(0.01)
-        return Ended(os.waitstatus_to_exitcode(status), *self._texts())
-
-    def _texts(self):
-        texts = []
-        for file in self.files:
-            file.seek(0)
-            texts.append(file.read().decode(errors="replace").removeprefix("loading ...\n"))
-            file.close()
-        return texts
+        texts = [file.read().decode(errors="replace").removeprefix("loading ...\n") for file in self.files]
+        return Ended(None if stopped else self.process.exitcode, *texts)
 
 
 def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0, patience=5):
@@ -101,7 +92,7 @@ def run(folder, name, *arguments, prepare=lambda: None, timeout=120.0, patience=
 def warm_up(*names):
     """Import what recipes import, before any fork."""
     for name in names:
-        sys.path.insert(0, str(recipe_file(name).parent))
+        sys.path.insert(0, str(ROOT / "recipes"))
         importlib.import_module(name)
         del sys.path[0]
 
@@ -146,16 +137,28 @@ def processor_seconds(pid):
     return (int(numbers[11]) + int(numbers[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _become(folder, file, arguments, streams, prepare):
+def as_new(environment, pictures):
+    """In a child of the server: be as a new interpreter would be that was started in an environment."""
+    os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ.clear()
+    os.environ.update(environment)
+    paths = environment.get("PYTHONPATH", "").split(os.pathsep)
+    sys.path[1:1] = [path for path in paths if path and path not in sys.path]
+    if not pictures:
+        no_pictures()
+
+
+def _become(folder, words, files, prepare):
     """Be the recipe, and end as the interpreter would."""
     status = 1
     try:
         os.chdir(folder)
-        for number, stream in zip((1, 2), streams, strict=True):
-            os.dup2(stream.fileno(), number)
+        for number, file in zip((1, 2), files, strict=True):
+            os.dup2(os.open(file, os.O_WRONLY | os.O_APPEND), number)
         sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))  # noqa: SIM115
-        sys.argv = [str(file), *arguments]
-        sys.path.insert(0, str(file.parent))
+        sys.argv = words
+        sys.path.insert(0, os.path.dirname(words[0]))
         prepare()
         runpy.run_path(sys.argv[0], run_name="__main__")
         status = 0
