@@ -6,67 +6,41 @@ import numpy as np
 NUMBERS = ("i1", "u1", "<i2", ">i4", "u4", "i8", "u8", "f2", "f4", ">f8", "?", "S3", "c8")
 
 
-def of_bytes(change):
-    """A way by a function of a generator and the bytes of the file, which it changes in place."""
-
-    def way(rng, path):
-        content = bytearray(path.read_bytes())
-        change(rng, content)
-        path.write_bytes(content)
-
-    way.__name__ = change.__name__
-    return way
-
-
-def flip(rng, content, start, stop):
-    """Flip a bit between two places, which may lie outside of the file."""
-    content[min(max(start + int(rng.integers(stop - start)), 0), len(content) - 1)] ^= 1 << rng.integers(8)
-
-
-@of_bytes
-def flip_bits(rng, content):
-    for _ in range(rng.integers(1, 5)):
-        flip(rng, content, 0, len(content))
-
-
-@of_bytes
-def flip_bits_of_metadata(rng, content):
-    """Damage where HDF5 keeps its tables: around the signatures of its structures."""
-    signs = [b"\x89HDF", b"TREE", b"HEAP", b"SNOD", b"GCOL", b"graph", b"digest", b"name", b"goals"]
-    places = [at for sign in signs if (at := content.find(sign)) >= 0]
-    for _ in range(rng.integers(1, 4)):
-        at = int(rng.choice(places))
-        flip(rng, content, at - 64, at + 512)
-
-
-def flip_bits_of_a_header(rng, path):
-    """Damage the header of one dataset: its type, shape, storage and attributes."""
-    with h5py.File(path) as file:
-        start = h5py.h5o.get_info(file[str(rng.choice(list(file)))].id).addr
+def flip_bits(path, rng, start=0, stop=None):
+    """Flip up to four bits between two places of the file."""
     content = bytearray(path.read_bytes())
-    for _ in range(rng.integers(1, 3)):
-        flip(rng, content, start, start + 300)
+    stop = min(stop or len(content), len(content))
+    for _ in range(rng.integers(1, 5)):
+        content[int(rng.integers(max(start, 0), stop))] ^= 1 << rng.integers(8)
     path.write_bytes(content)
 
 
-@of_bytes
-def overwrite(rng, content):
-    length = int(rng.choice([rng.integers(1, 65), 512]))
-    at = int(rng.integers(max(1, len(content) - length)))
-    content[at : at + length] = rng.bytes(length) if rng.random() < 0.5 else bytes([rng.choice([0, 255])]) * length
+def anywhere(rng, path):
+    flip_bits(path, rng)
 
 
-@of_bytes
-def lose_bytes(rng, content):
-    """A thousand bytes at most, or all to the end."""
-    at, length = rng.integers(len(content)), rng.integers(1, 1000)
-    del content[at : at + length if rng.random() < 0.5 else None]
+def in_the_metadata(rng, path):
+    """Where HDF5 keeps its tables: around the signatures of its structures."""
+    content = path.read_bytes()
+    signs = [b"\x89HDF", b"TREE", b"HEAP", b"SNOD", b"GCOL", b"graph", b"digest", b"name", b"goals"]
+    at = int(rng.choice([at for sign in signs if (at := content.find(sign)) >= 0]))
+    flip_bits(path, rng, at - 64, at + 512)
 
 
-@of_bytes
-def swap_sectors(rng, content):
-    a, b = (512 * int(at) for at in rng.integers(max(1, len(content) // 512), size=2))
-    content[a : a + 512], content[b : b + 512] = content[b : b + 512], content[a : a + 512]
+def in_a_header(rng, path):
+    """The header of one dataset: its type, shape, storage and attributes."""
+    with h5py.File(path) as file:
+        start = h5py.h5o.get_info(file[str(rng.choice(list(file)))].id).addr
+    flip_bits(path, rng, start, start + 300)
+
+
+def overwrite(rng, path):
+    """Up to 512 bytes with noise or with one value; or they are lost, or all to the end."""
+    content = bytearray(path.read_bytes())
+    at, length = int(rng.integers(len(content))), int(rng.choice([rng.integers(1, 65), 512]))
+    other = [rng.bytes(length), bytes([rng.choice([0, 255])]) * length, b"", b""][rng.integers(4)]
+    content[at : at + length if other or rng.random() < 0.5 else None] = other
+    path.write_bytes(content)
 
 
 def change_attribute(rng, path):
@@ -91,35 +65,28 @@ def change_attribute(rng, path):
             holder.attrs[name] = values[rng.integers(len(values))]
 
 
-def change_type(rng, path):
+def change_dataset(rng, path):
+    """Another type or shape, a value that is none, a chunk that is shorter than its filters expect; or none at all."""
     with h5py.File(path, "a") as file:
         name = str(rng.choice([name for name in file if file[name].dtype.kind != "O"]))
-        values = file[name][:]
+        values, how = file[name][:], rng.choice(["type", "shape", "values", "chunks", "lost"])
         del file[name]
         with np.errstate(all="ignore"):
-            file[name] = values.astype(str(rng.choice(NUMBERS)))
-
-
-def change_shape(rng, path):
-    with h5py.File(path, "a") as file:
-        name = str(rng.choice(list(file)))
-        kind = file[name].dtype
-        del file[name]
-        shape = tuple(rng.choice([0, 1, 3, 4, 23, 24, 25], size=rng.integers(0, 5)).tolist())
-        chunks = tuple(max(1, size // 2) for size in shape) if shape and rng.random() < 0.5 else None
-        file.create_dataset(name, shape, kind, chunks=chunks, fletcher32=chunks is not None and rng.random() < 0.5)
-
-
-def change_values(rng, path):
-    with h5py.File(path, "a") as file:
-        name = str(rng.choice([name for name in file if file[name].dtype.kind != "O"]))
-        values = file[name][:]
-        for _ in range(rng.integers(1, 4)):
-            where = tuple(rng.integers(size) for size in values.shape)
-            special = [-1, 0, 1, 23, 24, 127] if values.dtype.kind in "iu" else [-1, 0, np.nan, np.inf, 1e30, 0.25]
-            with np.errstate(all="ignore"):
+            if how == "type":
+                file[name] = values.astype(str(rng.choice(NUMBERS)))
+            elif how == "shape":
+                shape = tuple(rng.choice([0, 1, 3, 4, 23, 24, 25], size=rng.integers(0, 5)).tolist())
+                file.create_dataset(name, shape, values.dtype)
+            elif how == "values":
+                special = [-1, 0, 1, 23, 24, 127] if values.dtype.kind in "iu" else [-1, 0, np.nan, np.inf, 1e30]
+                where = tuple(rng.integers(size) for size in values.shape)
                 values[where] = np.array(rng.choice(special)).astype(values.dtype)
-        file[name][...] = values
+                file[name] = values
+            elif how == "chunks":
+                filters = [{"compression": "gzip"}, {"shuffle": True, "fletcher32": True}, {"compression": "lzf"}]
+                dataset = file.create_dataset(name, data=values, chunks=values.shape, **filters[rng.integers(3)])
+                length = int(rng.integers(1, 40)) if rng.random() < 0.5 else values.nbytes
+                dataset.id.write_direct_chunk((0,) * values.ndim, rng.bytes(length), int(rng.integers(4)))
 
 
 def change_a_view(rng, path):
@@ -136,29 +103,13 @@ def change_a_view(rng, path):
         file["observation_webp"][state] = np.frombuffer(bytes(view) or b"%!PS", np.uint8)
 
 
-def damage_a_chunk(rng, path):
-    """A chunk that is shorter than its filters expect, or filled with noise."""
-    with h5py.File(path, "a") as file:
-        name = str(rng.choice(["graph", "location", "rotation", "resnet_feature"]))
-        values = file[name][:]
-        del file[name]
-        options = [{"compression": "gzip"}, {"shuffle": True}, {"fletcher32": True}, {"compression": "lzf"}]
-        chosen = {key: value for option in options if rng.random() < 0.5 for key, value in option.items()}
-        dataset = file.create_dataset(name, data=values, chunks=values.shape, **chosen)
-        length = int(rng.integers(1, 40)) if rng.random() < 0.5 else values.nbytes
-        dataset.id.write_direct_chunk((0,) * values.ndim, rng.bytes(length), filter_mask=int(rng.integers(0, 4)))
-
-
-def lose_a_dataset(rng, path):
-    with h5py.File(path, "a") as file:
-        name = str(rng.choice(list(file)))
-        if rng.random() < 0.5:
-            del file[name]
-        else:
-            file.move(name, name + "_")
-
-
-WAYS = (flip_bits, flip_bits_of_metadata, flip_bits_of_a_header) * 2
-WAYS += (overwrite, lose_bytes, swap_sectors, change_attribute, change_type, change_shape)
-WAYS += (change_values, change_a_view, damage_a_chunk, lose_a_dataset)
-"""Those that find most twice."""
+WAYS = (
+    anywhere,
+    in_the_metadata,
+    in_a_header,
+    overwrite,
+    change_attribute,
+    change_dataset,
+    change_dataset,
+    change_a_view,
+)

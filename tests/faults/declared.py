@@ -2,7 +2,7 @@
 
     nice python tests/faults/declared.py [quick | name ...]
 
-Each case writes a file of at most 6 MB and reads it in a fork, as a recipe would. It prints a line for each case: what
+Each case writes a file of at most 24 MB and reads it in a fork, as a recipe would. It prints a line for each case: what
 came of it, seconds, and how much more memory it took than the process had. The exit status is 1 if a case took more,
 ended in a traceback, or in more than one line.
 """
@@ -58,18 +58,34 @@ def png(width, height, colour=0, bits=8):
     return b"\x89PNG\r\n\x1a\n" + body
 
 
-def tour(name):
-    """A case whose tour is written by a function of the folder."""
+def case(name, content, read):
+    """A case of one file: what it holds, or a function that tells or makes it; and what reads the file."""
 
-    def case(write):
-        def make(folder):
-            (folder / name).write_text(write())
-            (folder / "a.jpg").touch()
-            return lambda: read_tour(folder)
+    def make(folder):
+        file = folder / name
+        made = content(file) if callable(content) else content
+        if isinstance(made, str):
+            file.write_text(made)
+        elif isinstance(made, bytes):
+            file.write_bytes(made)
+        return partial(read, file)
 
-        return make
+    return make
 
-    return case
+
+def sparse(file):
+    """A terabyte that takes no room."""
+    file.touch()
+    os.truncate(file, 2**40)
+
+
+def of_its_folder(read):
+    """A reader of a folder as one of a file in it."""
+    return lambda file: read(file.parent)
+
+
+def tour(name, text):
+    return case(name, text, of_its_folder(read_tour))
 
 
 def scenes_of_marzipano(count, **scene):
@@ -77,7 +93,7 @@ def scenes_of_marzipano(count, **scene):
     return f"var APP_DATA = {{scenes: {text}}};"
 
 
-def multires():
+def multires(_):
     scene = {
         "type": "multires",
         "multiRes": {"path": "%l%s%y%x", "cubeResolution": 2**15, "tileResolution": 512, "maxLevel": 16},
@@ -85,90 +101,55 @@ def multires():
     return json.dumps({"scenes": {str(number): scene for number in range(2000)}})
 
 
-def panorama_of(data, name="a.png"):
-    """A case that cuts a view out of a panorama."""
-
-    def make(folder):
-        (folder / name).write_bytes(data())
-        (folder / "b.png").write_bytes(png(64, 32))
-        (folder / "links.csv").write_text(f"image,to,yaw\n{name},b.png,0\nb.png,{name},0\n")
-
-        def read():
-            images = [one.image for one in read_tour(folder).panoramas]
-            list(cut_views(images, np.zeros((2, 1)), size=(300, 400), field_of_view=90))
-
-        return read
-
-    return make
+def cut(file):
+    """A view of each panorama of the tour that a file belongs to."""
+    images = [one.image for one in read_tour(file.parent).panoramas]
+    list(cut_views(images, np.zeros((len(images), 1)), size=(300, 400), field_of_view=90))
 
 
-def cube(side):
-    def make(folder):
-        (folder / "a.png").write_bytes(png(side, side))
-        scene = {"type": "cubemap", "cubeMap": ["a.png"] * 6}
-        (folder / "tour.json").write_text(json.dumps({"scenes": {"a": scene}}))
-        image = read_tour(folder).panoramas[0].image
-        return lambda: list(cut_views([image], np.zeros((1, 1)), size=(300, 400), field_of_view=90))
+def panorama(width, height, **options):
+    def content(file):
+        file.with_name("b.png").write_bytes(png(64, 32))
+        file.with_name("links.csv").write_text("image,to,yaw\na.png,b.png,0\nb.png,a.png,0\n")
+        return png(width, height, **options)
 
-    return make
+    return case("a.png", content, cut)
 
 
-def photo(data, read=lambda file: list(encoded_photos([file], 300, 400))):
-    def make(folder):
-        (folder / "a.png").write_bytes(data())
-        return lambda: read(folder / "a.png")
-
-    return make
+def cube(file):
+    scene = {"type": "cubemap", "cubeMap": ["a.png"] * 6}
+    file.with_name("tour.json").write_text(json.dumps({"scenes": {"a": scene}}))
+    return png(11_584, 11_584)
 
 
-def webp(width, height):
-    """The header of a WebP file that declares a canvas of this size."""
-    sides = struct.pack("<I", width - 1)[:3] + struct.pack("<I", height - 1)[:3]
+def encoded(file):
+    list(encoded_photos([file], 300, 400))
+
+
+def webp(_):
+    """The header of a WebP file that declares a canvas of 16,383 pixels a side."""
+    sides = 2 * struct.pack("<I", 16_382)[:3]
     chunk = b"VP8X" + struct.pack("<I", 10) + bytes(4) + sides
     pixel = b"VP8L" + struct.pack("<I", 14) + bytes.fromhex("2f000000103f1111100a20d2ff88")
     return b"RIFF" + struct.pack("<I", 4 + len(chunk + pixel)) + b"WEBP" + chunk + pixel
 
 
-def many_headings(folder):
+def many_headings(file):
     """A table of 36,000 headings at each of two places."""
-    (folder / "a.png").write_bytes(png(16, 12))
+    file.with_name("a.png").write_bytes(png(16, 12))
     lines = ["image,location,heading,x,z,ahead"]
     for place, x, ahead in (("a", 0, "b"), ("b", 1, "")):
         lines += [f"a.png,{place},{heading / 100},{x},0,{ahead}" for heading in range(36_000)]
-    (folder / "states.csv").write_text("\n".join(lines))
-    return lambda: read_photos(folder)
+    return "\n".join(lines)
 
 
-def sparse(name, read):
-    def make(folder):
-        (folder / name).touch()
-        os.truncate(folder / name, 2**40)
-        return lambda: read(folder)
-
-    return make
+def weights(file):
+    torch.save({"a": torch.zeros(1).expand(10**12)}, file)
 
 
-def weights(folder):
-    torch.save({"a": torch.zeros(1).expand(10**12)}, folder / "a.pt")
-    return lambda: read_tensors(folder / "a.pt")["a"].half()
-
-
-def pipe(name, read):
-    def make(folder):
-        os.mkfifo(folder / name)
-        return lambda: read(folder)
-
-    return make
-
-
-def wad(folder):
-    (folder / "a.wad").write_bytes(struct.pack("<4sii", b"PWAD", 2**31 - 1, 12) + bytes(32))
-    return lambda: _check_map(folder / "a.wad", "map01")
-
-
-def frames_map(folder):
-    """5 MB of zeros that unpack to 5.4 GB, as a map has them."""
-    with zipfile.ZipFile(folder / "a.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+def frames_map(file):
+    """24 MB of zeros that unpack to 5.4 GB, as a map has them."""
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         with archive.open("frames.npy", "w", force_zip64=True) as stream:
             about = {"descr": "|u1", "fortran_order": False, "shape": (60_000, 120, 250, 3)}
             np.lib.format.write_array_header_1_0(stream, about)
@@ -177,44 +158,26 @@ def frames_map(folder):
         for name, value in {"shortcuts": np.zeros((0, 2), np.int64), "field_of_view": np.float64(65)}.items():
             with archive.open(f"{name}.npy", "w") as stream:
                 np.lib.format.write_array(stream, np.asarray(value))
-    return lambda: load_frames_map(folder / "a.npz")
 
 
-def pictures_of_a_map(folder):
+def pictures_of_a_map(file):
     """Small files of pictures that are far larger than any in a map."""
     pictures, count = png(2**24, 1), 16
     looks = np.zeros((count, 8), np.float16)
     points = np.zeros((count, 4, 2), np.float16), np.zeros((count, 4, 64), np.int8), np.zeros(count, np.int16)
     views, links = Described(looks, *points), np.zeros((0, 2), np.int64)
     times, parts = np.arange(count, dtype=float), np.zeros(count, np.int64)
-    FrameMap([pictures] * count, times, parts, views, links, 65.0, "sift", (8, 8)).save(folder / "a.npz")
-
-    def read():
-        graph = load_frames_map(folder / "a.npz")
-        draw_strip([(f"{frame}", graph.picture(frame)) for frame in range(count)], folder / "way.png")
-
-    return read
+    FrameMap([pictures] * count, times, parts, views, links, 65.0, "sift", (8, 8)).save(file)
 
 
-def bag(data):
-    """A case of a bag in one file."""
-
-    def make(folder):
-        file = folder / f"a.{'mcap' if data is mcap else 'bag'}"
-        file.write_bytes(data(2**32))
-        return lambda: list(Recording(file))
-
-    return make
+def draw(file):
+    graph = load_frames_map(file)
+    draw_strip([(f"{frame}", graph.picture(frame)) for frame in range(len(graph))], file.with_suffix(".png"))
 
 
-def packed(size, packer):
-    """So many zeros, compressed."""
-    megabyte = bytes(2**20)
-    return b"".join([packer.compress(megabyte) for _ in range(size // len(megabyte))] + [packer.flush()])
-
-
-def mcap(size):
-    """A file of MCAP without an index, whose one chunk unpacks to so many zeros."""
+def mcap(_):
+    """A file of MCAP without an index, whose one chunk unpacks to 4 GB of zeros."""
+    size, packer, megabyte = 2**32, zstd.ZstdCompressor(), bytes(2**20)
 
     def record(kind, data):
         return bytes([kind]) + struct.pack("<Q", len(data)) + data
@@ -222,53 +185,44 @@ def mcap(size):
     def text(word):
         return struct.pack("<I", len(word)) + word
 
-    chunk = packed(size, zstd.ZstdCompressor())
+    chunk = b"".join([packer.compress(megabyte) for _ in range(size // len(megabyte))] + [packer.flush()])
     about = struct.pack("<QQQI", 0, 10, size, 0) + text(b"zstd") + struct.pack("<Q", len(chunk))
     records = record(1, text(b"ros2") + text(b"")) + record(6, about + chunk)
     end = record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0))
     return b"\x89MCAP0\r\n" + records + end + b"\x89MCAP0\r\n"
 
 
-def description(text):
-    def make(folder):
-        (folder / "a.toml").write_text(text())
-        return lambda: read_description(folder / "a.toml")
-
-    return make
-
-
 KRPANO = '<krpano><scene name="a"><image><cube url="%s"/></image></scene></krpano>'
+WAD = struct.pack("<4sii", b"PWAD", 2**31 - 1, 12) + bytes(32)
+TILES = [{"size": 64, "tileSize": 1}] * 16
 
 CASES = {
-    "a data.js of comments": tour("data.js")(lambda: "/**/" * 40 + "function () {}"),
-    "a page of a comment without end": tour("index.html")(lambda: 'scenes: v = {"a": ' + "/*" * 500_000),
-    "a page of braces": tour("index.html")(lambda: "scenes: {" * 100_000),
-    "tiles of one pixel": tour("data.js")(lambda: scenes_of_marzipano(200, levels=[{"size": 64, "tileSize": 1}] * 16)),
-    "an address with 300,000 zeros": tour("tour.xml")(lambda: KRPANO % f"%{'0' * 300_000}s.jpg"),
-    "5 million elements": tour("tour.xml")(lambda: f"<krpano>{'<a/>' * 1_500_000}</krpano>"),
-    "2,000 cubes of 64 tiles a side": tour("tour.json")(multires),
-    "a large panorama": panorama_of(lambda: png(28_000, 14_000)),
-    "a panorama as large as may be": panorama_of(lambda: png(19_998, 9_999, colour=2)),
-    "a face of a cube as large as may be": cube(11_584),
-    "a large photograph": photo(lambda: png(16_384, 16_384, colour=6)),
-    "a photograph as large as may be": photo(lambda: png(15_000, 13_300, colour=6)),
-    "a large canvas of WebP": photo(lambda: webp(16_383, 16_383)),
-    "a large photo to go to": photo(lambda: png(16_384, 16_384, colour=6), read_photo),
-    "36,000 headings": many_headings,
-    "a sparse states.csv": sparse("states.csv", read_photos),
-    "a sparse checkpoint": sparse("network.pt", load_checkpoint),
-    "weights that repeat a number": weights,
-    "a pipe for states.csv": pipe("states.csv", read_photos),
-    "a pipe for tour.json": pipe("tour.json", read_tour),
-    "a pipe for a room": pipe("a.toml", lambda folder: read_description(folder / "a.toml")),
-    "a pipe for a WAD": pipe("a.wad", lambda folder: _check_map(folder / "a.wad", "map01")),
-    "a pipe for a video": pipe("a.mp4", lambda folder: Recording(folder / "a.mp4")),
-    "functions without end": tour("index.html")(lambda: "scenes: {" + ":function(){:a=>{:function(" * 200_000),
-    "a WAD of 44 bytes": wad,
-    "a map of 5.4 GB": frames_map,
-    "pictures of a map": pictures_of_a_map,
-    "a chunk of 4 GB in an MCAP file": bag(mcap),
-    "a description of tables": description(lambda: "a = " + "[" * 100_000),
+    "a data.js of comments": tour("data.js", "/**/" * 40 + "function () {}"),
+    "a page of a comment without end": tour("index.html", 'scenes: v = {"a": ' + "/*" * 500_000),
+    "a page of braces": tour("index.html", "scenes: {" * 100_000),
+    "tiles of one pixel": tour("data.js", lambda _: scenes_of_marzipano(200, levels=TILES)),
+    "an address with 300,000 zeros": tour("tour.xml", KRPANO % f"%{'0' * 300_000}s.jpg"),
+    "5 million elements": tour("tour.xml", lambda _: f"<krpano>{'<a/>' * 1_500_000}</krpano>"),
+    "2,000 cubes of 64 tiles a side": tour("tour.json", multires),
+    "a large panorama": panorama(28_000, 14_000),
+    "a panorama as large as may be": panorama(19_998, 9_999, colour=2),
+    "a face of a cube as large as may be": case("a.png", cube, cut),
+    "a large photograph": case("a.png", lambda _: png(16_384, 16_384, colour=6), encoded),
+    "a photograph as large as may be": case("a.png", lambda _: png(15_000, 13_300, colour=6), encoded),
+    "a large canvas of WebP": case("a.webp", webp, encoded),
+    "a large photo to go to": case("a.png", lambda _: png(16_384, 16_384, colour=6), read_photo),
+    "36,000 headings": case("states.csv", many_headings, of_its_folder(read_photos)),
+    "a sparse states.csv": case("states.csv", sparse, of_its_folder(read_photos)),
+    "a sparse checkpoint": case("network.pt", sparse, of_its_folder(load_checkpoint)),
+    "weights that repeat a number": case("a.pt", weights, lambda file: read_tensors(file)["a"].half()),
+    "a pipe for tour.json": tour("tour.json", os.mkfifo),
+    "a pipe for a room": case("a.toml", os.mkfifo, read_description),
+    "functions without end": tour("index.html", "scenes: {" + ":function(){:a=>{:function(" * 200_000),
+    "a WAD of 44 bytes": case("a.wad", WAD, lambda file: _check_map(file, "map01")),
+    "a map of 5.4 GB": case("a.npz", frames_map, load_frames_map),
+    "pictures of a map": case("a.npz", pictures_of_a_map, draw),
+    "a chunk of 4 GB in an MCAP file": case("a.mcap", mcap, lambda file: list(Recording(file))),
+    "a description of tables": case("a.toml", "a = " + "[" * 100_000, read_description),
 }
 """Each writes its file into a folder and returns what reads it."""
 

@@ -28,8 +28,8 @@ from dirl.scenes.io import read as isolation
 from dirl.scenes.views import encode
 
 CPU_SECONDS, MEMORY = 1.0, 8 * 2**30
-SHARE, READ_APART = 20, 50
-"""So many files are read by one process; every so many are read as a user's are as well."""
+READ_APART = 50
+"""Every so many are read as a user's are as well."""
 
 SAME, CHANGED, LINE = "read, and as it was", "read, and changed", "refused with one line"
 CRASHED, SLOW = "refused with one line: libhdf5 crashed", "refused with one line: out of time"
@@ -76,23 +76,15 @@ def outcome(path, good, protected, *, isolated):
     return SAME if found == good else SILENT if protected else CHANGED
 
 
-def each_in_a_fork(actions):
-    """The outcome of each function. Several share a process; one that ends it is tried again in one of its own."""
+def in_a_limited_fork(read):
+    """The outcome that a function gives in a fork with little time and memory."""
 
-    def said(some):
-        for action in some:
-            signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)  # its signal ends the process
-            yield action()
+    def say():
+        signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)  # its signal ends the process
+        yield read()
 
-    for begin in range(0, len(actions), SHARE):
-        pending = actions[begin : begin + SHARE]
-        while pending:
-            found, _, _ = in_a_fork(partial(said, pending), MEMORY)
-            yield from found
-            if len(found) < len(pending):
-                alone, ended, _ = in_a_fork(partial(said, [pending[len(found)]]), MEMORY)
-                yield alone[0] if alone else SLOW if ended == signal.SIGPROF else CRASHED
-            pending = pending[len(found) + 1 :]
+    found, ended, _ = in_a_fork(say, MEMORY)
+    return found[0] if found else SLOW if ended == signal.SIGPROF else CRASHED
 
 
 def damage(path, content, way, seed):
@@ -119,8 +111,8 @@ def try_files(numbers, seed, folder):
         damage(path, files[base], way, (seed, number, 1))
         return outcome(path, goods[base], base == "ours", isolated=isolated)
 
-    found_here = each_in_a_fork([partial(read, number) for number in numbers])
-    for number, found in zip(numbers, found_here, strict=True):
+    for number in numbers:
+        found = in_a_limited_fork(partial(read, number))
         if found in (CRASHED, SLOW):
             found = found if read(number, isolated=True) == LINE else LOST
         elif number % READ_APART == 0 and read(number, isolated=True) != found:

@@ -1,13 +1,12 @@
-"""Break runs, machines and checkpoints: a table of counts.
+"""Break runs and machines: a table of counts.
 
     python tests/faults/runs.py                                            # a minute
-    python tests/faults/runs.py kills=200 faults=200 bytes=10000 folders=1000 signals=50 seed=1
+    python tests/faults/runs.py kills=200 faults=200 signals=50 seed=1
 
 Ends with status 1 if anything was not as docs/reliability.md promises, after a line for each such case.
 """
 
 import csv
-import functools
 import json
 import os
 import random
@@ -25,13 +24,10 @@ from campaign import start, table
 from commands import SHORT, room_file
 from forks import Child, no_pictures, run, warm_up
 from injection import KINDS, Faults
-from rooms import grid_scene
 
-from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
-from dirl.agent.mapping.walks import explore
-from dirl.runs.checkpoints import RunError, is_finished, load_checkpoint, training_checkpoints
+from dirl.runs.checkpoints import is_finished, load_checkpoint, training_checkpoints
 
-COUNTS = {"kills": 4, "signals": 2, "faults": 6, "bytes": 300, "folders": 100, "machine": 1, "seed": 0}
+COUNTS = {"kills": 4, "signals": 2, "faults": 6, "machine": 1, "seed": 0}
 """How often each thing is tried; ``machine`` is a round of the cases that stand for themselves."""
 
 TIMES = ("seconds", "frames_per_second", "peak_memory_mb")
@@ -56,15 +52,6 @@ class Bench:
         assert ended.status == 0, ended.errors
         self.seconds = time.monotonic() - began
         self.calls = json.loads(counts.read_text())
-
-    @functools.cached_property
-    def stopped(self):
-        """The folder of a run that has stopped in the middle of its training."""
-        folder = self.new_folder()
-        fault = Faults(folder, "rename", 2 * self.calls["rename"] // 3)
-        ended = self.train(folder, prepare=fault.install)
-        assert ended.status, ended.told
-        return folder
 
     def new_folder(self):
         """A folder that is not there yet."""
@@ -179,68 +166,6 @@ def faults(bench, times, rng):
         yield f"{kind} {number} of {bench.calls[kind]}{' and all after' * lasting}", problem or bench.finish(folder)
 
 
-def stopped_run(bench):
-    """A run that has stopped in the middle of its training, with its latest checkpoint."""
-    folder = bench.new_folder()
-    shutil.copytree(bench.stopped, folder)
-    *_, latest = training_checkpoints(folder)
-    return folder, latest
-
-
-def read_or_refused(read, file):
-    """What became of reading a damaged file: an empty text for an error of one line; ``accepted`` for none."""
-    try:
-        return "accepted", read(file)
-    except (RunError, MapError) as error:
-        return "" if len(str(error).splitlines()) == 1 else f"not one line: {error}", None
-
-
-def damaged_bytes(bench, times, rng):
-    """A checkpoint with damaged bytes is not read; a run goes on from the one before."""
-    folder, latest = stopped_run(bench)
-    data, file = latest.read_bytes(), bench.folder / "damaged.pt"
-    for _ in range(times):
-        spoilt, what = spoil_bytes(data, rng)
-        if spoilt != data:
-            file.write_bytes(spoilt)
-            yield what, read_or_refused(load_checkpoint, file)[0]
-    latest.write_bytes(spoil_bytes(data, rng)[0])
-    yield "a damaged checkpoint in a run", bench.finish(folder)
-
-
-def folders(bench, times, rng):
-    """A saved map with a damaged file is refused, or read as it was: of JSON a space may be lost."""
-    explored = ImageGraph()
-    explore(grid_scene(), explored, 0, 12)
-    folder = save_graph(explored, bench.folder / "map")
-    for _ in range(times):
-        file = rng.choice(sorted(folder.iterdir()))
-        good, data = contents(folder), file.read_bytes()
-        spoilt, what = spoil_bytes(data, rng)
-        if spoilt == data:
-            continue
-        file.write_bytes(spoilt)
-        problem, found = read_or_refused(contents, folder)
-        if found is not None and file.suffix == ".json" and alike(found, good):
-            problem = ""
-        yield f"{file.name}: {what}", problem
-        file.write_bytes(data)
-
-
-def contents(folder):
-    """What a saved map holds."""
-    return {key: value for key, value in vars(load_graph(folder)).items() if key != "recogniser"}
-
-
-def alike(one, other):
-    """Whether two contents are the same, tensors included."""
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
-    if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(alike(a, b) for a, b in zip(one, other, strict=True))
-    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
-
-
 def machine(bench, times, rng):
     """Cases that stand for themselves, so many rounds of them; others are in tests/runs."""
     for _ in range(times):
@@ -265,31 +190,10 @@ def deleted_folder(bench):
     return refused(child.wait(), 74)
 
 
-def spoil_bytes(data, rng):
-    """One damage of a file's bytes, and what it is in words."""
-    what = rng.choice(["bit", "bit", "bit", "zeros", "cut", "longer", "swap"])
-    place = rng.randrange(len(data))
-    spoilt = bytearray(data)
-    if what == "bit":
-        spoilt[place] ^= 1 << rng.randrange(8)
-    elif what == "zeros":
-        spoilt[place : place + 512] = bytes(len(spoilt[place : place + 512]))
-    elif what == "cut":
-        del spoilt[place:]
-    elif what == "longer":
-        spoilt += b"\0"
-    else:
-        other = rng.randrange(len(data))
-        spoilt[place], spoilt[other] = spoilt[other], spoilt[place]
-    return bytes(spoilt), f"{what} at {place}"
-
-
 CASES = {
     "kills": kills,
     "signals": signals,
     "faults": faults,
-    "bytes": damaged_bytes,
-    "folders": folders,
     "machine": machine,
 }
 """Each takes a `Bench`, how often, and a random number generator; yields what was done, and what was wrong with it."""

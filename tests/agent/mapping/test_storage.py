@@ -1,9 +1,14 @@
 """Image graphs as files."""
 
 import json
+from contextlib import suppress
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from refusals import refused
 from rooms import grid_scene
+from spoil import spoilt
 
 from dirl.agent.mapping import ImageGraph, MapError, load_graph, save_graph
 from dirl.agent.mapping.walks import explore
@@ -65,18 +70,28 @@ def test_a_damaged_map_is_refused_in_one_line(how, saved):
         (folder / "map.json").write_text(json.dumps({"schema": 1}))
     else:
         reseal(folder, CHANGES[how])
-    with pytest.raises(MapError, match=r"holds no map|is no map of dirl") as caught:
-        load_graph(folder)
-    assert "\n" not in str(caught.value)
+    refused("holds no map|is no map of dirl", load_graph, folder)
 
 
-def test_a_byte_that_flipped_is_found_by_the_digest(saved):
-    file = saved[1] / "map.safetensors"
-    content = bytearray(file.read_bytes())
-    content[int(0.6 * len(content))] ^= 1
-    file.write_bytes(content)
-    with pytest.raises(MapError, match="is no map of dirl"):
-        load_graph(saved[1])
+def read_or_refused(folder):
+    """The map; none if it is refused in one line."""
+    with suppress(MapError):
+        return load_graph(folder)
+    refused("", load_graph, folder)
+
+
+@given(drawn=st.data())
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_what_is_damaged_is_refused_or_read_as_it_was(saved, drawn):
+    graph, folder = saved
+    file = drawn.draw(st.sampled_from(sorted(folder.iterdir())))
+    whole = file.read_bytes()
+    file.write_bytes(drawn.draw(spoilt(whole)))
+    again = read_or_refused(folder)
+    if again is not None:  # of JSON a space may be lost
+        assert (again.moves, again.observed, again.threshold) == (graph.moves, graph.observed, graph.threshold)
+        assert (again.views == graph.views).all()
+    file.write_bytes(whole)
 
 
 def test_a_fact_that_changed_is_found_by_the_digest(saved):
