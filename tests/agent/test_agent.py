@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import torch
+from policies import indifferent
 from rooms import grid_scene
-from tensordict.nn import TensorDictModule
 
 from dirl.agent.agent import Planning, Remembering, arrow_costs, likeness
 from dirl.agent.cameras import compare
@@ -136,5 +136,4 @@ def searched(scene, *goals, goal_view="surrounding", sweeps=False):
         panorama=True,
         arrows=True,
     )
-    policy = TensorDictModule(lambda state: torch.zeros(*state.shape, 4), in_keys=["state"], out_keys=["logits"])
-    return metrics(protocol.run(RandomPolicy() if sweeps else policy))["spl"]
+    return metrics(protocol.run(RandomPolicy() if sweeps else indifferent()))["spl"]

@@ -22,7 +22,7 @@ from dirl.agent.onnx import export_onnx
 from dirl.config.schemas import ConfigError
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import LocalisingMemory, PlanningMemory, recurrent_keys
+from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.recognition import NCC, Learned, Thresholds
 from dirl.perception.recognition.recogniser import TemplateStop, VisitScores
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
@@ -76,12 +76,18 @@ def walk_until_stop(act, world, state, most):
 
 
 @pytest.mark.parametrize(
-    ("observation", "match", "heads"),
-    [("surrounding", "views", "shared"), ("sequential", "front", "scene")],
+    ("observation", "match", "options"),
+    [
+        ("surrounding", "views", ["heads=shared"]),
+        ("surrounding", "views", ["memory=gru", "memory.hidden_size=20"]),
+        ("sequential", "front", []),
+    ],
+    ids=["shared heads", "gru", "sequential"],
 )
-def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observation, match, heads):
+def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, observation, match, options):
+    """One goal after the other: what it remembers ends with the next reset."""
     world = rooms(("grid", "other.room"))
-    policy, seen = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}", f"heads={heads}")
+    policy, seen = trained(tmp_path, world, f"observation={observation}", f"stop.match={match}", *options)
     threshold = 0.1  # low enough for false stops among random features
     stop = TemplateStop(threshold, match)(world)
     starts = every_start(world)
@@ -362,41 +368,6 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, capfd):
         np.testing.assert_allclose(value, expected["state_value"], rtol=0, atol=1e-5)
         scores = TemplateStop().scores(world)
         np.testing.assert_allclose(matching, world.block(scores, 2)[:agents], rtol=0, atol=1e-5)
-
-
-def walk_with_memory(policy, world, observation, states, goal_index):
-    """Logits of a policy with memory on ``[T, B]`` states, one step after the other."""
-    found, state = [], None
-    for step in states:
-        asked = observe(world, observation, step, observation.reset_view_ids(step), goal_index)
-        asked["is_init"] = torch.full((len(step), 1), state is None)
-        if state is None:
-            state = {key: torch.zeros(len(step), 1, 20) for key in recurrent_keys(policy)}
-        answered = policy(asked.update(state))
-        state = {key: answered["next", key] for key in state}
-        found.append(answered["logits"])
-    return torch.stack(found)
-
-
-GRU = ("memory=gru", "memory.hidden_size=20")
-WALK = torch.tensor([[5, 6, 7, 8], [14, 13, 12, 1], [2, 1, 0, 3]]).T + 24
-
-
-def test_a_policy_with_memory_remembers_until_the_next_reset(tmp_path):
-    world = rooms(("grid", "other"))
-    policy, observation = trained(tmp_path, world, *GRU)
-    navigator = load(tmp_path, world, scene="other")
-    goal_index = torch.tensor([2, 3, 2])
-    with torch.no_grad():
-        expected = walk_with_memory(policy, world, observation, WALK, goal_index)
-    for _ in range(2):
-        navigator.reset(images_of(observation.reset_view_ids(world.goals[goal_index])))
-        for states, logits in zip(WALK, expected, strict=True):
-            found = navigator.act(images_of(observation.reset_view_ids(states))).scores.probabilities
-            torch.testing.assert_close(found, logits.softmax(-1))
-    with torch.no_grad():  # the memory matters
-        first = walk_with_memory(policy, world, observation, WALK[-1:], goal_index)
-    assert not torch.allclose(first[0], expected[-1])
 
 
 MINE = """

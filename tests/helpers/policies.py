@@ -32,20 +32,24 @@ def expert(world, sureness=100.0):
 
 
 class Asked(torch.nn.Module):
-    """A policy by a function of what it observes, and a list of how many rows it is asked at once."""
+    """A policy by a function of what it observes."""
 
     def __init__(self, logits):
         super().__init__()
-        self.logits, self.sizes = logits, []
+        self.logits, self.in_keys = logits, ["view_ids", "goal_view_ids"]
 
     def forward(self, rows):
-        self.sizes.append(len(rows))
         return rows.set("logits", self.logits(rows))
 
 
 def always(action, sureness=100.0):
     """A policy that prefers one action everywhere."""
     return Asked(lambda rows: sureness * torch.eye(4)[action].expand(len(rows), 4))
+
+
+def indifferent():
+    """A policy without preference."""
+    return Asked(lambda rows: torch.zeros(len(rows), 4))
 
 
 def only_goals(world):

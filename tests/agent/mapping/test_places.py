@@ -8,6 +8,7 @@ import pytest
 import torch
 from elsewhere import DEVICE, device_elsewhere
 from odds import Odds
+from policies import indifferent
 from rooms import grid_scene
 from shown_goals import images_of, look_up, trained, walk_through
 from shown_goals import rooms as shown_rooms
@@ -50,13 +51,6 @@ def walks(world, scores):
     return [map_scene(world, index, LocalisingMemory(), scores, 3) for index in range(2)]
 
 
-class Anything(torch.nn.Module):
-    """A policy without preference."""
-
-    def forward(self, asked):
-        return asked.set("logits", torch.zeros(*asked.batch_size, 4))
-
-
 def test_a_walk_through_changing_rooms_makes_a_right_map_and_ends_by_itself(world, walks):
     for index, (known, passed) in enumerate(walks):
         assert map_quality(known, passed, world, index) == (1, 1, 0)
@@ -75,8 +69,8 @@ def test_turns_may_be_small_and_panoramas_seen_at_once(headings, panorama):
     protocol = EvaluationProtocol(
         world, observation, every_start(world), stop, 60, memory=memory, scores=scores, panorama=panorama
     )
-    assert metrics(protocol.run(Anything()))["sr"] == 1
-    found = metrics(replace(protocol, maps=[known]).run(Anything()))
+    assert metrics(protocol.run(indifferent()))["sr"] == 1
+    found = metrics(replace(protocol, maps=[known]).run(indifferent()))
     assert found["sr"] == 1
     assert found["spl"] > 0.98 if panorama else 0.9
 
@@ -114,7 +108,7 @@ def test_a_walk_through_a_tour_tests_what_it_guesses_and_its_map_leads_to_goals_
         world, SurroundingViews(world), every_start(world), stop, 60, memory=memory, scores=scores, panorama=True
     )
     protocol = replace(protocol, maps=[known], memory=Told(), arrows=True)
-    assert metrics(protocol.run(Anything()))["sr"] == 1
+    assert metrics(protocol.run(indifferent()))["sr"] == 1
     assert protocol.memory.arrows.shape[1:] == (8, 4)
 
 
@@ -227,8 +221,8 @@ def test_episodes_with_a_map_go_straight_to_any_goal(world, scores, walks):
     protocol = EvaluationProtocol(
         world, observation, every_start(world), stop, 60, memory=LocalisingMemory(), scores=scores
     )
-    alone = metrics(protocol.run(Anything()))
-    found = metrics(replace(protocol, maps=[known for known, _ in walks]).run(Anything()))
+    alone = metrics(protocol.run(indifferent()))
+    found = metrics(replace(protocol, maps=[known for known, _ in walks]).run(indifferent()))
     assert found["sr"] == 1
     assert found["spl"] > 0.98 > 0.7 > alone["spl"]
     assert walks[0][0].places.node.shape == (1, len(walks[0][1]))  # episodes leave the map as it is

@@ -1,12 +1,9 @@
 """Navigation by a topological map as a policy: evaluated like any other, from every start to every goal."""
 
-from typing import ClassVar
-
 import pytest
 import torch
-from policies import run_episodes
+from policies import RIGHT, always, run_episodes
 from rooms import grid_scene
-from tensordict.nn import TensorDictModuleBase
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.envs import SurroundingViews
@@ -52,20 +49,10 @@ def test_a_short_walk_and_a_list_are_worse(world):
     assert metrics(walked(GraphMemory(world, merge=False), world))["spl"] < whole - 0.1
 
 
-class Always(TensorDictModuleBase):
-    """Takes one action wherever it is."""
-
-    in_keys: ClassVar = ["view_ids", "goal_view_ids"]
-    out_keys: ClassVar = ["logits"]
-
-    def forward(self, tensordict):
-        return tensordict.set("logits", torch.tensor([0.0, 1.0, 0.0, 0.0]).expand(len(tensordict), 4))
-
-
 def test_the_last_steps_are_the_policys(world):
     memory = GraphMemory(world)
-    led = walked(GuidedPolicy(Always(), memory, last_steps=0), world)
+    led = walked(GuidedPolicy(always(RIGHT), memory, last_steps=0), world)
     assert metrics(led)["sr"] == 1
-    near = walked(GuidedPolicy(Always(), memory, last_steps=2), world)
-    alone = walked(Always(), world)
+    near = walked(GuidedPolicy(always(RIGHT), memory, last_steps=2), world)
+    alone = walked(always(RIGHT), world)
     assert metrics(alone)["sr"] < metrics(near)["sr"] < 1
