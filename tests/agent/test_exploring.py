@@ -8,7 +8,7 @@ import torch
 from odds import Odds
 from refusals import refused
 from rooms import grid_scene
-from shown_goals import images_of, look_up, rooms, trained, walk_through
+from shown_goals import images_of, look_up, rooms, trained, walk_through, walk_to_goal
 
 from dirl import Navigator
 from dirl.agent.mapping import ImageGraph
@@ -39,25 +39,13 @@ def explorer(navigator, world):
     return walk
 
 
-def walk_to(navigator, world, state, goal, most=30):
-    """The states that are passed."""
-    passed = [state]
-    for _ in range(most):
-        decision = navigator.act(images_of(world.surrounding[state]))
-        if decision.stop:
-            break
-        state = int(world.graph[state, decision.action])
-        passed.append(state)
-    return passed
-
-
 @pytest.mark.parametrize("photo", [False, True])
 def test_it_goes_to_any_photo_on_a_shortest_way(photo, navigator, explorer, world):
     for goal in (1, 13, 22):
         seen = images_of(goal) if photo else images_of(world.surrounding[goal])
         for start in (0, 7, 18):
             navigator.reset(seen, graph=explorer.graph, last_steps=0)
-            passed = walk_to(navigator, world, start, goal)
+            passed = walk_to_goal(navigator, world, start)
             assert passed[-1] == goal
             assert len(passed) - 1 == world.scenes[0].distances[start, goal]
         assert navigator.agent.guide.match == pytest.approx(1, abs=1e-4)
@@ -85,7 +73,7 @@ def test_the_last_steps_are_the_policys(navigator, explorer, world):
 def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_path):
     folder = explorer.save(tmp_path / "map")
     navigator.reset(images_of(world.surrounding[5]), graph=folder, last_steps=0)
-    assert walk_to(navigator, world, 20, 5)[-1] == 5
+    assert walk_to_goal(navigator, world, 20)[-1] == 5
     facts = json.loads((folder / "map.json").read_text())
     del facts["digest"]  # as in maps of before the digest, which are believed
     (folder / "map.json").write_text(json.dumps(facts).replace('"random"', '"other"'))
@@ -102,7 +90,7 @@ def test_an_image_graph_is_made_and_used_by_the_navigators_recogniser(world, nav
     assert len(walk.graph) == len(world)
     folder, seen = walk.save(tmp_path / "map"), images_of(world.surrounding[13])
     sure.reset(seen, graph=folder, last_steps=0)
-    assert walk_to(sure, world, 18, 13)[-1] == 13
+    assert walk_to_goal(sure, world, 18)[-1] == 13
     for graph in (folder, walk.graph):
         refused("was made with another recogniser: 'odds", navigator.reset, seen, graph=graph)
 
@@ -122,12 +110,10 @@ def test_a_map_leads_who_sees_a_panorama_as_well(tmp_path):
     navigator = Navigator.load(tmp_path / "run", look_up(place), extractor="random", turns=8)
     walk = navigator.explore(turns=8)
     walk_through(walk, place)
-    around, goal, state = place.panoramas(), 13, 40
-    navigator.reset(images_of(place.surrounding[goal]), graph=walk.graph, last_steps=0)
-    for left in range(int(place.scenes[0].distances[state, goal]), 0, -1):
-        assert place.scenes[0].distances[state, goal] == left
-        state = int(place.graph[state, navigator.act(images_of(around[state])).action])
-    assert navigator.act(images_of(around[state])).stop
+    navigator.reset(images_of(place.surrounding[13]), graph=walk.graph, last_steps=0)
+    passed = walk_to_goal(navigator, place, 40, place.panoramas())
+    assert passed[-1] == 13
+    assert len(passed) - 1 == place.scenes[0].distances[40, 13]
 
 
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):

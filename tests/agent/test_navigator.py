@@ -12,7 +12,7 @@ import torch
 from odds import Odds
 from refusals import refused
 from rooms import grid_scene
-from shown_goals import images_of, look_up, rooms, trained
+from shown_goals import images_of, look_up, rooms, trained, walk_until_stop
 
 import dirl
 from dirl import Navigator
@@ -63,16 +63,6 @@ def sequential(tmp_path_factory, world):
 def own_run(run, tmp_path):
     """A copy of the run, to be changed."""
     return Path(shutil.copytree(run, tmp_path / "own"))
-
-
-def walk_until_stop(act, world, state, most):
-    """The states that are passed until a navigator stops, later than at the first; and whether it stopped."""
-    action, stopped, _ = act(int(state))
-    walked = [int(state)]
-    while len(walked) <= most and (len(walked) == 1 or not stopped):
-        walked.append(int(world.graph[walked[-1], action]))
-        action, stopped, _ = act(walked[-1])
-    return walked, stopped
 
 
 @pytest.mark.parametrize(

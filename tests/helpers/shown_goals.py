@@ -32,15 +32,32 @@ def rooms(names=("grid",), width=16):
     )
 
 
-def walk_through(walk, world):
+def walk_through(walk, world, around=None):
     """Go where the explorer wants to, as long as it wants to."""
+    around = world.surrounding if around is None else around
     state, action = 3, None
-    for _ in range(3 * len(world)):
-        walk.see(images_of(world.surrounding[state]), action)
+    for _ in range(5 * len(world)):
+        walk.see(images_of(around[state]), action)
         action = walk.next_action()
         if action is None:
             break
         state = int(world.graph[state, action])
+
+
+def walk_until_stop(act, world, state, most):
+    """The states that are passed until a navigator stops, later than at the first; and whether it stopped."""
+    action, stopped, _ = act(int(state))
+    walked = [int(state)]
+    while len(walked) <= most and (len(walked) == 1 or not stopped):
+        walked.append(int(world.graph[walked[-1], action]))
+        action, stopped, _ = act(walked[-1])
+    return walked, stopped
+
+
+def walk_to_goal(navigator, world, start, around=None):
+    """The states that a navigator passes which sees what surrounds it, or more."""
+    around = world.surrounding if around is None else around
+    return walk_until_stop(lambda at: navigator.act(images_of(around[at])), world, start, 30)[0]
 
 
 def trained(folder, world, *options):

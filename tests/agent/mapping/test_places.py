@@ -10,7 +10,7 @@ from elsewhere import DEVICE, device_elsewhere
 from odds import Odds
 from policies import indifferent
 from rooms import grid_scene
-from shown_goals import images_of, look_up, trained, walk_through
+from shown_goals import images_of, look_up, trained, walk_through, walk_to_goal
 from shown_goals import rooms as shown_rooms
 
 from dirl import Navigator
@@ -296,12 +296,7 @@ def test_a_navigator_walks_once_and_goes_straight_to_any_photo(navigator, place,
     for goal in (1, 13):
         for start in (0, 18):
             navigator.reset(images_of(goal if photo else place.surrounding[goal]), graph=folder)
-            passed = [start]
-            for _ in range(30):
-                action, stop, _ = navigator.act(images_of(place.surrounding[passed[-1]]))
-                if stop and len(passed) > 1:
-                    break
-                passed.append(int(place.graph[passed[-1], action]))
+            passed = walk_to_goal(navigator, place, start)
             assert passed[-1] == goal
             assert len(passed) - 1 == place.scenes[0].distances[start, goal]
     on = explored(navigator, place, known)
@@ -326,24 +321,15 @@ def test_a_map_that_was_saved_serves_on_another_device(navigator, place, tmp_pat
 def test_a_map_of_panoramas_is_made_and_used_by_a_robot_that_turns_by_45_degrees(navigator, tmp_path):
     place = make_world([grid_scene(3, 2, headings=8, goals=(0, 13))])
     navigator.encoder, navigator.turns = look_up(place), 8
-    around, explorer, state, action = place.panoramas(), navigator.explore(turns=8), 3, None
-    for _ in range(200):
-        explorer.see(images_of(around[state]), action)
-        action = explorer.next_action()
-        if action is None:
-            break
-        state = int(place.graph[state, action])
+    around, explorer = place.panoramas(), navigator.explore(turns=8)
+    walk_through(explorer, place, around)
     folder = explorer.save(tmp_path / "map")
     assert (load_graph(folder).turns, len(load_graph(folder))) == (8, 48)
     navigator.reset(images_of(place.surrounding[13]), graph=folder)
     with pytest.raises(NavigatorError, match=r"^images: 4 views, and the map is of 8; give as many"):
         navigator.act(images_of(place.surrounding[40]))
-    passed = [40]
-    for _ in range(30):
-        action, stop, _ = navigator.act(images_of(around[passed[-1]]))
-        if stop and len(passed) > 1:
-            break
-        passed.append(int(place.graph[passed[-1], action]))
+    passed = walk_to_goal(navigator, place, 40, around)
+    assert passed[-1] == 13
     assert len(passed) - 1 == place.scenes[0].distances[40, 13]
     navigator.turns = 4
     with pytest.raises(NavigatorError, match=r"^graph: was made with turns=8, this navigator has 4"):
