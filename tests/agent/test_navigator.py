@@ -360,30 +360,12 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, capfd):
         np.testing.assert_allclose(matching, world.block(scores, 2)[:agents], rtol=0, atol=1e-5)
 
 
-MINE = """
-from torch import nn
-
-class Mean(nn.Module):
-    def __init__(self, num_features: int, width: int = 8) -> None:
-        super().__init__()
-        self.layer = nn.Linear(2 * num_features, width)
-
-    def forward(self, observation, goal_observation):
-        import torch
-        return self.layer(torch.cat([observation.mean(-2), goal_observation.mean(-2)], -1)).relu()
-"""
-
-
-def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp_path, monkeypatch):
-    (tmp_path / "my_encoders.py").write_text(MINE)
-    monkeypatch.syspath_prepend(tmp_path)
+def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp_path):
     world = rooms()
-    policy, observation = trained(tmp_path / "run", world, "encoder._target_=my_encoders.Mean", "encoder.width=8")
-    monkeypatch.delitem(sys.modules, "my_encoders")
-    with pytest.raises(ValueError, match=r"names a class of 'my_encoders'; trust=\[my_encoders\] allows it"):
-        load(tmp_path / "run", world)
-    assert "my_encoders" not in sys.modules
-    navigator = load(tmp_path / "run", world, trust=["my_encoders"])
+    policy, observation = trained(tmp_path, world, "trust=[outside]", "encoder._target_=outside.Product")
+    with pytest.raises(ValueError, match=r"names a class of 'outside'; trust=\[outside\] allows it"):
+        load(tmp_path, world)
+    navigator = load(tmp_path, world, trust=["outside"])
     navigator.reset(images_of(world.surrounding[0]))
     found = navigator.act(images_of(world.surrounding[9])).scores.probabilities
     logits = answer(policy, world, observation, torch.tensor([9]), torch.tensor([0]))["logits"]

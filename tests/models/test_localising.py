@@ -2,16 +2,8 @@
 
 import pytest
 import torch
-from odds import Odds
-from policies import expert, indifferent, run_episodes
-from rooms import grid_scene
 
-from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import every_start
-from dirl.evaluation.protocol import metrics
 from dirl.models import LocalisingMemory
-from dirl.perception.recognition.recogniser import TemplateStop, VisitScores
-from dirl.scenes import make_world
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 
@@ -131,27 +123,6 @@ def test_where_all_was_tried_an_uncertain_place_is_seen_again():
     assert not LocalisingMemory().stops(left).item()
     assert LocalisingMemory().plan(left).argmax().item() == BACK
     assert LocalisingMemory(seek=2.0).plan(left).argmax().item() != BACK
-
-
-@pytest.mark.parametrize("match", ["views", "front"])
-def test_the_expert_arrives_and_a_policy_without_preference_finds_every_goal(match):
-    size = {"feature_width": 64, "patches": True, "looks": 2, "noise": 0.1}
-    world = make_world(
-        [grid_scene(4, 3, name="a", goals=(5, 30), **size), grid_scene(3, 3, name="b", goals=(7,), seed=1, **size)]
-    )
-    stop = TemplateStop(0.0, match, Odds()).compared(world)
-    arguments = {
-        "observation": SurroundingViews(world),
-        "stop": stop,
-        "scores": VisitScores(Odds(), world),
-        "max_steps": 100,
-    }
-    memory = LocalisingMemory()
-    found = metrics(run_episodes(expert(world), world, every_start(world), memory=memory, **arguments))
-    assert (found["sr"], found["false_stop_rate"]) == (1, 0)
-    assert found["spl"] > 0.95
-    found = metrics(run_episodes(indifferent(), world, every_start(world), memory=memory, **arguments))
-    assert (found["sr"], found["false_stop_rate"]) == (1, 0)
 
 
 def test_a_move_that_no_arrow_shows_is_not_tried_and_hides_no_goal():
