@@ -3,20 +3,18 @@
 import base64
 import json
 import re
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from commands import train_config
+from parts import make_parts
 from rooms import grid_scene
 from tours import grid_truth, tour_of, turned
 from train import imitate
 
 from dirl.agent.decisions import observe
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
-from dirl.config.schemas import TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
@@ -24,41 +22,24 @@ from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.perception.recognition.recogniser import TemplateStop, matching
 from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
-from dirl.scenes import World, load_scenes, make_world, write_dump
+from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.views import encode
 from dirl.sources.tours.moves import tour_scene
-from dirl.training.build import build_demonstrations, build_observation, build_protocol, build_world, learning_policy
 
 LIMIT = 30
 
 
-@dataclass(frozen=True)
-class Room:
-    """A policy, as it is configured, where it walks and what it observes."""
-
-    config: TrainConfig
-    world: World
-    policy: Any
-    protocol: EvaluationProtocol
-
-    def answers(self, state, goal_index):
-        """What the policy writes in states on the way to a goal."""
-        observation, goals = self.protocol.observation, torch.full_like(state, goal_index)
-        with torch.no_grad():
-            return self.policy(observe(self.world, observation, state, observation.reset_view_ids(state), goals))
-
-    def path(self, goal_index, start, **changes):
-        """The states of a greedy episode, under other conditions where some are given."""
-        protocol = replace(self.protocol, **changes)
-        _, ((*path,),) = protocol.trajectories(self.policy, (torch.tensor([goal_index]), torch.tensor([start])))
-        return path
+def answers(room, state, goal_index):
+    """What the policy writes in states on the way to a goal."""
+    observation, goals = room.protocol.observation, torch.full_like(state, goal_index)
+    with torch.no_grad():
+        return room.policy(observe(room.world, observation, state, observation.reset_view_ids(state), goals))
 
 
-def room_of(config):
-    world = build_world(config)
-    observation = build_observation(config, world)
-    policy = learning_policy(config, world, observation)
-    return Room(config, world, policy, build_protocol(config, world, observation))
+def path(room, goal_index, start):
+    """The states of a greedy episode."""
+    _, ((*states,),) = room.protocol.trajectories(room.policy, (torch.tensor([goal_index]), torch.tensor([start])))
+    return states
 
 
 def small_room(folder, *options, headings=4):
@@ -67,15 +48,15 @@ def small_room(folder, *options, headings=4):
     file = folder / "room.h5"
     write_dump(file, scene, [encode(np.full((6, 8, 3), 5 * state % 256, np.uint8)) for state in range(len(scene))])
     limits = [f"evaluation.max_steps={LIMIT}", "encoder.width=64", "heads.width=64", "seed=1"]
-    return room_of(train_config(f"scene={file}", *limits, *options))
+    return make_parts(f"scene={file}", *limits, *options)
 
 
 def clone(room, folder):
     """Train the policy by imitation, so that it arrives."""
     run = Run(folder, room.config)
-    run.begin(room.world, room.protocol.observation.order)
+    run.begin(room.world, room.observation.order)
     torch.manual_seed(0)
-    imitate([run], room.policy, [build_demonstrations(room.config, room.world, room.protocol.observation)])
+    imitate([run], room.policy, [room.demos])
     run.close()
     return room
 
@@ -99,7 +80,7 @@ def test_a_page_holds_the_networks_exact_answers_the_views_and_the_room(tmp_path
     states = torch.arange(len(room.world))
     scores = TemplateStop(0.9, "views").scores(room.world)
     for index, (goal, state) in enumerate(zip(data["goals"], (0, 13), strict=True)):
-        answered = room.answers(states, index)
+        answered = answers(room, states, index)
         assert (goal["state"], goal["stops"]) == (state, [state])
         torch.testing.assert_close(floats(goal["logits"]).view(-1, 4), answered["logits"], atol=1e-5, rtol=0)
         torch.testing.assert_close(floats(goal["values"]), answered["state_value"].squeeze(-1), atol=1e-5, rtol=0)
@@ -118,7 +99,7 @@ def test_several_scenes_get_a_page_each_which_name_each_other(tmp_path):
     first, second = (grid_scene(3, depth, name=name, goals=(0, 5)) for depth, name in ((2, "a"), (3, "b")))
     for scene in (first, second):
         write_dump(tmp_path / f"{scene.name}.h5", scene)
-    pages = pages_of(room_of(train_config(f"scene=[{tmp_path / 'a.h5'},{tmp_path / 'b.h5'}]", "encoder.width=16")))
+    pages = pages_of(make_parts(f"scene=[{tmp_path / 'a.h5'},{tmp_path / 'b.h5'}]", "encoder.width=16"))
     assert list(pages) == ["viewer_a.html", "viewer_b.html"]
     data = data_of(pages["viewer_b.html"])
     assert [scene["file"] for scene in data["scenes"]] == list(pages)
@@ -127,11 +108,11 @@ def test_several_scenes_get_a_page_each_which_name_each_other(tmp_path):
 
 
 def test_raw_views_are_encoded_and_a_room_without_views_has_none(dump):
-    config = train_config(f"scene={dump}", "encoder.width=32", "goals=[0]")
-    (page,) = pages_of(room_of(config)).values()
+    options = f"scene={dump}", "encoder.width=32", "goals=[0]"
+    (page,) = pages_of(make_parts(*options)).values()
     assert base64.b64decode(data_of(page)["views"][0])[8:12] == b"WEBP"
     write_dump(dump, grid_scene())
-    (page,) = pages_of(room_of(config)).values()
+    (page,) = pages_of(make_parts(*options)).values()
     assert data_of(page)["views"] is None
 
 
@@ -139,7 +120,8 @@ def test_a_scenes_name_can_neither_leave_its_script_nor_the_folder(tmp_path):
     name = "</script><img src=x>/../é"
     room = small_room(tmp_path)
     named = replace(room.world, scenes=(replace(room.world.scenes[0], name=name),))  # no file may hold it
-    ((file, page),) = pages_of(replace(room, world=named, protocol=replace(room.protocol, world=named))).items()
+    room.protocol = replace(room.protocol, world=named)
+    ((file, page),) = pages_of(room).items()
     assert "/" not in file
     assert "<img" not in page
     assert data_of(page)["scene"] == name
@@ -150,7 +132,7 @@ def test_what_a_page_cannot_show_is_refused(tmp_path):
         pages_of(small_room(tmp_path, "observation=sequential"))
     other = small_room(tmp_path).protocol
     with pytest.raises(ValueError, match="beside=other: is evaluated in other scenes or for other goals"):
-        pages_of(room_of(train_config("scene=bathroom_02", "encoder.width=16")), beside={"other": (0, other)})
+        pages_of(make_parts("scene=bathroom_02", "encoder.width=16"), beside={"other": (0, other)})
 
 
 @pytest.fixture
@@ -226,7 +208,7 @@ def test_an_agent_goes_on_from_where_it_was_led_as_if_it_began_there(tmp_path, o
     for key in "dad":
         tab.press("body", key)
     step, state = shown(tab)
-    assert walked(tab) == [(step + done, at) for done, at in enumerate(room.path(1, state))][: LIMIT - step + 1]
+    assert walked(tab) == [(step + done, at) for done, at in enumerate(path(room, 1, state))][: LIMIT - step + 1]
 
 
 def test_two_agents_walk_side_by_side(tmp_path, open_page):
@@ -240,7 +222,7 @@ def test_two_agents_walk_side_by_side(tmp_path, open_page):
     tab.press("body", "e")
     assert "Stopped at the goal" in tab.inner_text("#outcome")
     step = shown(tab)[0]
-    state = other.path(1, 8)[step]
+    state = path(other, 1, 8)[step]
     assert tab.get_attribute("#views-beside .ahead img", "alt") == f"view ahead, of state {state}"
     assert tab.inner_text("#outcome-beside") == f"untrained: On the way: {step} steps"
     assert tab.locator("#map .agent").count() == 2
@@ -277,7 +259,7 @@ def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
     choose(tab, 1, 8)
     assert tab.locator("#actions .chosen").count() == 1
     seen = walked(tab)
-    assert seen == list(enumerate(room.path(1, 8)))
+    assert seen == list(enumerate(path(room, 1, 8)))
     assert not tab.is_visible("#actions")  # nothing is decided any more
     assert f"Stopped at the goal after {len(seen) - 1} steps" in tab.inner_text("#outcome")
     assert (tab.inner_text("#verdict"), tab.inner_text("#score")) == ("stop", "1.000")
@@ -310,7 +292,7 @@ def test_keys_walk_the_room_and_views_and_bars_follow(tmp_path, open_page):
         assert sources == [f"data:image/webp;base64,{view}" for view in expected]
     assert "12 by hand" in tab.inner_text("#outcome")
     choose(tab, 1, 8)
-    answered = room.answers(torch.tensor([8]), 1)
+    answered = answers(room, torch.tensor([8]), 1)
     chances, value = (100 * answered["logits"].softmax(-1))[0].tolist(), answered["state_value"].item()
     bars = tab.locator("#actions .number").all_inner_texts()
     assert [float(text.rstrip("%")) for text in bars] == pytest.approx(chances, abs=0.06)
