@@ -77,7 +77,7 @@ def read_or_refused(folder):
     """The map; none if it is refused in one line."""
     with suppress(MapError):
         return load_graph(folder)
-    refused("", load_graph, folder)
+    refused(".", load_graph, folder)
 
 
 @given(drawn=st.data())
@@ -86,12 +86,15 @@ def test_what_is_damaged_is_refused_or_read_as_it_was(saved, drawn):
     graph, folder = saved
     file = drawn.draw(st.sampled_from(sorted(folder.iterdir())))
     whole = file.read_bytes()
-    file.write_bytes(drawn.draw(spoilt(whole)))
-    again = read_or_refused(folder)
+    damaged = drawn.draw(spoilt(whole))
+    try:
+        file.write_bytes(damaged)
+        again = read_or_refused(folder)
+    finally:
+        file.write_bytes(whole)
     if again is not None:  # of JSON a space may be lost
         assert (again.moves, again.observed, again.threshold) == (graph.moves, graph.observed, graph.threshold)
         assert (again.views == graph.views).all()
-    file.write_bytes(whole)
 
 
 def test_a_fact_that_changed_is_found_by_the_digest(saved):
