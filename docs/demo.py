@@ -69,7 +69,8 @@ def build(out: Path, cache: Path) -> list[Path]:
     if reason := missing():
         raise RuntimeError(reason)
     package = HERE.parent / "src" / "dirl"
-    sources = [HERE / "demo.py", package / "agents" / AGENT / "network.pt", *sorted(package.glob("reporting/viewer*"))]
+    weights = package / "pretrained" / AGENT / "network.pt"
+    sources = [HERE / "demo.py", weights, *sorted(package.glob("reporting/viewer*"))]
     sources += [file for folder in SOURCES for file in sorted((package / folder).rglob("*.py"))]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()[:16]
     cache.mkdir(parents=True, exist_ok=True)
@@ -223,11 +224,11 @@ class Memory(nn.Module):
         action: Tensor,
         quarter: Tensor,
     ) -> tuple[Tensor, ...]:
-        """The logits of the plan, then what is known next, in the order of the arguments; see `Walked`."""
-        from dirl.models.planning import Walked
+        """Return the logits of the plan, then what is known next, in the order of the arguments; see `PlanState`."""
+        from dirl.models.planning import PlanState
 
         first = here < 0
-        walked = Walked(cost, after, ring, taken, goal, here.clamp(min=0), action.clamp(min=0), quarter)
+        walked = PlanState(cost, after, ring, taken, goal, here.clamp(min=0), action.clamp(min=0), quarter)
         made = self.memory.arrive(walked, same, -logits.log_softmax(-1), seen)
         alone = torch.where(quarter[:, None, None], made.ring, -1)
         made.after = torch.where(first[:, None, None], alone, made.after)  # no action led here
@@ -352,9 +353,9 @@ def tour(folder: Path) -> dict[str, tuple[Path, list[int]]]:
     from buildings import sample_building, write_building_tour
 
     from dirl.scenes import write_dump
-    from dirl.sources.tours.images import cut_views
-    from dirl.sources.tours.moves import tour_scene
-    from dirl.sources.tours.read import read_tour
+    from dirl.sources.tours.conversion import tour_scene
+    from dirl.sources.tours.formats import read_tour
+    from dirl.sources.tours.pixels import cut_views
 
     building = sample_building(*TOUR)
     panoramas = folder / "panoramas"

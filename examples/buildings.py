@@ -23,9 +23,9 @@ from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Material, RoomDescription
 from dirl.sources.rooms.layout import Opening, assemble, materials_of
 from dirl.sources.rooms.mesh import Array, Mesh, Part
-from dirl.sources.rooms.navigation import TOUCH, clearance, footprint, footprints
 from dirl.sources.rooms.sampling import KINDS, sample_room
 from dirl.sources.rooms.view import Renderer
+from dirl.sources.rooms.walkable import TOUCH, clearance, footprint, footprints
 
 WALL = 0.12
 """Metres: how thick the walls between rooms are."""

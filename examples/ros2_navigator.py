@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dirl.sources.tours.images import cut
+from dirl.sources.tours.pixels import cut
 
 SIDES = ("ahead", "right", "back", "left")
 

@@ -124,7 +124,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
-from dirl.agent.mapping.policy import LAST_STEPS
+from dirl.agent.mapping.graph_policy import LAST_STEPS
 from dirl.config.components import make
 from dirl.config.files import goal_view_options, group_options, load_simulator, own_options
 from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_episodes

@@ -384,14 +384,14 @@ from dirl.scenes.views import decode, encoded_view
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
 from dirl.sources.rooms import build_room
-from dirl.sources.rooms.build import Changes
 from dirl.sources.rooms.collect import MadeRoom, RoomSettings, make_rooms, missing_rooms
+from dirl.sources.rooms.dump import Changes
 from dirl.sources.rooms.sampling import KINDS
 from dirl.sources.simulators import take_scene
 from dirl.sources.thor import Thor, start_controller
 from dirl.sources.tours import read_tour
-from dirl.sources.tours.images import Cube, Equirectangular, cut_views
-from dirl.sources.tours.moves import Converted, tour_scene
+from dirl.sources.tours.conversion import Converted, tour_scene
+from dirl.sources.tours.pixels import Cube, Equirectangular, cut_views
 from dirl.sources.vizdoom import VizDoom
 
 COLUMNS, KEY = 80, 13

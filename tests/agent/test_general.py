@@ -8,7 +8,7 @@ from dirl import Navigator
 from dirl.config.schemas import ConfigError
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition import Learned
-from dirl.runs.checkpoints import AGENTS, load_checkpoint
+from dirl.runs.checkpoints import PRETRAINED, load_checkpoint
 from dirl.scenes import load_scenes
 from dirl.training.build import load_trained
 
@@ -23,7 +23,7 @@ def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
     saved = load_checkpoint("general")
     assert all(torch.isfinite(value).all() for value in saved["network"].values())
     assert not any(".scenes." in key and ".shared" not in key for key in saved["network"])
-    assert sum(file.stat().st_size for file in AGENTS.rglob("*.pt")) < 20e6
+    assert sum(file.stat().st_size for file in PRETRAINED.rglob("*.pt")) < 20e6
     (tmp_path / "general").mkdir()  # a folder of the reader's with this name comes first
     with pytest.raises(ValueError, match="holds no checkpoint"):
         load_checkpoint("general")

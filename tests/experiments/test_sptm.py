@@ -86,7 +86,7 @@ def test_a_recording_of_a_goal_ends_near_the_goal_and_random_walks_begin_at_the_
     game = Game(FOLDER / "data", maze)
     frames, places = game.replay(f"{maze.name}_{sptm.GOALS[1]}")
     assert frames.shape[1:] == (120, 160, 3)
-    assert abs(places[-1] - maze.goals[1]).max() <= sptm.NEAR
+    assert abs(places[-1] - maze.goals[1]).max() <= sptm.REACH
     assert walk(game, STARTS[0], maze.goals[1], random_walker(0)) == (False, 40)
     assert tuple(game.see()[1].round()) != tuple(places[0].round())
     game.close()

@@ -36,7 +36,7 @@ from dirl.scenes.io.files import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.rooms import read_description
 from dirl.sources.tours import read_tour
-from dirl.sources.tours.images import cut_views
+from dirl.sources.tours.pixels import cut_views
 from dirl.sources.video import Recording, read_photo
 from dirl.sources.vizdoom import _check_map
 

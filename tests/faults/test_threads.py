@@ -14,7 +14,7 @@ from dirl import Navigator
 from dirl.scenes import load_scenes
 from dirl.scenes.views import read_photo
 from dirl.sources.tours import read_tour
-from dirl.sources.tours.images import cut_views
+from dirl.sources.tours.pixels import cut_views
 
 
 def state():

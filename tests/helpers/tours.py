@@ -10,9 +10,9 @@ from PIL import Image
 
 from dirl.scenes.graph import AHEAD
 from dirl.sources.rooms.description import Camera
-from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.view import Renderer
-from dirl.sources.tours.images import Equirectangular
+from dirl.sources.rooms.walkable import walk
+from dirl.sources.tours.pixels import Equirectangular
 from dirl.sources.tours.tour import Link, Panorama, Tour
 
 HEADINGS = 8

@@ -24,7 +24,7 @@ from dirl.reporting import viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.views import encode
-from dirl.sources.tours.moves import tour_scene
+from dirl.sources.tours.conversion import tour_scene
 
 LIMIT = 30
 

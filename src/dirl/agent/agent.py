@@ -13,8 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from dirl.agent.mapping.graph_policy import GraphGuide
 from dirl.agent.mapping.places import PlaceMap
-from dirl.agent.mapping.policy import GraphGuide
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.scenes import ACTIONS
@@ -33,7 +33,7 @@ SAVED = 5.0
 """Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
 
 MANY = 50_000
-"""Agents for more than which actions are sampled by one random number each, where `torch.multinomial` draws four."""
+"""Above this number of agents, one random number samples an action, where `torch.multinomial` draws four."""
 
 
 class Observed(Protocol):
@@ -48,7 +48,7 @@ class Observed(Protocol):
 
     @property
     def arrows(self) -> Tensor | None:
-        """Which moves are possible facing each view, as visitors of a tour see, bool ``[B, K, 4]``; None = not told."""
+        """Which moves are possible facing each view, as visitors of a tour see, bool ``[B, K, 4]``; None = unknown."""
 
     @property
     def pooled(self) -> Tensor:
@@ -56,35 +56,35 @@ class Observed(Protocol):
 
     @property
     def along(self) -> Tensor | None:
-        """Pooled features of what is seen along the arrow of each view, ``[B, K, D]``; None = the views tell."""
+        """Pooled features of what is seen along the arrow of each view, ``[B, K, D]``; None = of the view itself."""
 
     @property
     def toward(self) -> Tensor | None:
-        """How clearly the arrow of each view leads to the goal, 0 to 1, ``[B, K]``; None = not told."""
+        """How clearly the arrow of each view leads to the goal, 0 to 1, ``[B, K]``; None = unknown."""
 
     @property
     def goal_pooled(self) -> Tensor:
-        """Those of the goals' views, float32 ``[B, V, D]``: V is four, one of a photo, zero where goals are ignored."""
+        """The goals' pooled features, float32 ``[B, V, D]``: V is four, one of a photo, zero if goals are ignored."""
 
     def alike(self, seen: Tensor) -> Tensor:
-        """How much it looks like earlier visits, ``[B, T, K, ...]``, facing each of their views; ``[B, T, K]``."""
+        """Compare the visit with earlier ones, ``[B, T, K, ...]``; return a score facing each view, ``[B, T, K]``."""
 
     def logits(self) -> Tensor:
-        """Those of the policy, float32 ``[B, 4]``."""
+        """Return the policy's logits, float32 ``[B, 4]``."""
 
     def facing(self, chosen: Tensor) -> Tensor:
-        """The policy's logits of the chosen agents, bool ``[B]``, facing each view; ``[B, K, 4]``, of others zero."""
+        """Return the chosen agents' logits, bool ``[B]``, facing each view; ``[B, K, 4]``, zero for others."""
 
     def at_goal(self) -> Tensor:
-        """Whether the recogniser takes this visit for the goal, bool ``[B]``."""
+        """Return True where the recogniser takes this visit for the goal, bool ``[B]``."""
 
     def goal_around(self, chosen: Tensor) -> Tensor:
-        """The same of the chosen agents facing each view, bool ``[B, K]``; of others False."""
+        """Return `at_goal` for the chosen agents, facing each view, bool ``[B, K]``; False for others."""
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
-        """Log odds that visits, ``[B, T, K, ...]``, see the goal facing each of their views; float32 ``[B, T, K]``.
+        """Return the log odds that visits, ``[B, T, K, ...]``, see the goal facing each view; float32 ``[B, T, K]``.
 
-        All visits of the ``place`` so far, in the same form, tell what its views share.
+        ``place`` holds all visits so far in the same form: they tell what the views of this place share.
         """
 
 
@@ -99,7 +99,7 @@ class Agent:
         self.action = torch.empty(0)
 
     def arrive(self, now: Observed) -> Tensor:
-        """Whether the agents stop where they are now, bool ``[B]``."""
+        """Return True where agents stop now, bool ``[B]``."""
         return now.at_goal()
 
     def act(
@@ -125,11 +125,11 @@ class Agent:
         return self.action, logits
 
     def logits(self, now: Observed) -> Tensor:
-        """Those of the policy, changed by what the agents remember."""
+        """Return the policy's logits, changed by what the agents remember."""
         return now.logits()
 
     def select(self, chosen: Tensor) -> None:
-        """After a step keep some of the agents, by mask or index."""
+        """Keep some of the agents after a step, by mask or index."""
 
 
 class Remembering(Agent):
@@ -144,16 +144,16 @@ class Remembering(Agent):
         self.memory = memory
         self.seen: Tensor | None = None
         self.past: Any = None
-        """What the memory says of all visits: `Walked` or `Places`; None before the first."""
+        """What the memory says of all visits: `PlanState` or `Places`; None before the first."""
         self.total: Tensor | None = None
         """Where agents see arrows, the sum of the pooled features of the places seen so far, float32 ``[B, D]``."""
         self.places: Tensor | None = None
-        """How many those are, float32 ``[B]``."""
+        """How many places those are, float32 ``[B]``."""
         self.best: Tensor | None = None
         """How much this visit looks like the most similar earlier one, float32 ``[B]``; None at the first."""
 
     def remember(self, now: Observed) -> Tensor:
-        """How much the visit looks like each node so far, float32 ``[B, T, K]``; it becomes the next."""
+        """Add the visit; return how alike it and each earlier node are, float32 ``[B, T, K]``."""
         visit = now.visit[:, None]
         seen = visit[:, :0] if self.seen is None else self.seen.expand(len(visit), *self.seen.shape[1:])
         self.seen = torch.cat([seen, visit], 1)
@@ -164,7 +164,7 @@ class Remembering(Agent):
         return alike
 
     def costs(self, now: Observed) -> Callable[[Tensor], Tensor]:
-        """Return what is asked at new places: the cost of trying each action facing each view, float32 ``[B, K, 4]``.
+        """Return a function to call at new places: the cost of each action facing each view, float32 ``[B, K, 4]``.
 
         Costs are ``-log p`` of the policy, as far as it is trusted. Where arrows are seen, the next panorama lies
         metres away, and the policy is worse than a sweep that ignores the goal. There costs are numbers of actions, and
@@ -204,7 +204,7 @@ class Planning(Remembering):
         self.turns = turns
 
     def logits(self, now: Observed) -> Tensor:
-        """Those of the plan; the policy is asked at places that are new, facing every view."""
+        """Return the plan's logits; the policy is called only at new places, once for each view ahead."""
         alike = self.remember(now).flatten(1) > self.memory.threshold
         if self.past is None:
             self.past = self.memory.begin(self.turns.expand(len(alike)), now.visit.shape[1])
@@ -229,7 +229,7 @@ class Localising(Remembering):
         self.turns, self.known = turns, known
 
     def arrive(self, now: Observed) -> Tensor:
-        """Take in what the agents see; whether they stop there."""
+        """Take in what the agents see; return True where they stop, bool ``[B]``."""
         agents, device = len(now.visit), now.visit.device
         if self.past is not None:
             self.past.action = self.action
@@ -246,14 +246,14 @@ class Localising(Remembering):
         return self.memory.stops(self.past)
 
     def logits(self, now: Observed) -> Tensor:
-        """Those of the plan."""
+        """Return the plan's logits."""
         return self.memory.plan(self.past, steps=now.arrows is not None)
 
 
 def make_agent(
     memory: Memory | None, turns: Tensor, known: PlaceMap | None = None, guide: GraphGuide | None = None
 ) -> Agent:
-    """Agents at the start of their episodes; for the arguments see the classes with each memory."""
+    """Make agents at the start of their episodes; each memory's class above describes the arguments."""
     if isinstance(memory, LocalisingMemory):
         return Localising(memory, int(turns[0]), known, guide)
     if isinstance(memory, PlanningMemory):
@@ -308,5 +308,5 @@ def arrow_costs(along: Tensor, arrows: Tensor, toward: Tensor | None = None) -> 
 
 
 def four_of(views: Tensor) -> Tensor:
-    """Of K views ``[B, K, ...]`` those ahead, right, back and left, ``[B, 4, ...]``."""
+    """Return the views ahead, right, back and left, ``[B, 4, ...]``, of K views ``[B, K, ...]``."""
     return views[:, :: views.shape[1] // VIEWS]

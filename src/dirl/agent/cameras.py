@@ -47,17 +47,17 @@ class FeaturePolicy(nn.Module):
         self.policy = policy
         self.front = front
         self.state_keys: list[str] = recurrent_keys(policy)
-        """Of the recurrent state, in the order of arguments and results."""
+        """Keys of the recurrent state, in the order of arguments and results."""
         self.recurrent = _in_plain_operations(getattr(policy, "memory", None))
 
     @property
     def table(self) -> FeatureTable:
-        """By which features are standardised."""
+        """The table by which features are standardised."""
         table: FeatureTable = self.policy.features
         return table
 
     def forward(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-        """Action logits and matching coefficient.
+        """Return action logits and the matching coefficient.
 
         Args:
             features: of the four views, as the backbone returns them, float32 ``[B, 4, D]``; if the encoder compares
@@ -72,7 +72,7 @@ class FeaturePolicy(nn.Module):
         return logits, value, self.matching(features, goal_features), *after
 
     def decide(self, features: Tensor, goal_features: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-        """Logits, value and the next recurrent state; see `forward`."""
+        """Return logits, value and the next recurrent state; see `forward`."""
         # Not `len`: ONNX would then keep the number of agents of the trace, which is a free dimension.
         policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
         features, goal_features = (of[..., : policy.features.inputs] for of in (features, goal_features))
@@ -86,7 +86,7 @@ class FeaturePolicy(nn.Module):
         return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), *after
 
     def matching(self, features: Tensor, goal_features: Tensor) -> Tensor:
-        """The matching coefficient ``[B]``: of all views if the goal's are known, else of one; see `forward`."""
+        """Return the matching coefficient ``[B]``: of all views if the goal's are known, else of one; see `forward`."""
         whole = (goal_features[:, 1:] != 0).any(-1).any(1)
         # As in dirl.perception.recognition.recogniser, the pooled features are matched as the backbone gave them.
         pooled = len(self.table.mean)
@@ -97,7 +97,7 @@ class FeaturePolicy(nn.Module):
         return torch.where(whole, ncc(features.flatten(1), goal_features.flatten(1)), front)
 
     def describe(self, features: Tensor, recogniser: Recogniser) -> Tensor:
-        """What a recogniser compares of views, ``[..., D]`` to ``[..., F]``.
+        """Return what a recogniser compares of views, ``[..., D]`` to ``[..., F]``.
 
         Fine patches, which the policy does not read, come last and are compared instead of the others.
         """
@@ -109,7 +109,7 @@ class FeaturePolicy(nn.Module):
         return recogniser.describe(features[..., :pooled], patches)
 
     def _remember(self, encoded: Tensor, state: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """One step of the memory: its output, and the next state."""
+        """Take one step of the memory; return its output and the next state."""
         if self.recurrent is not None:
             layers = [part.transpose(0, 1) for part in state]
             output, after = self.recurrent(encoded.unsqueeze(1), layers[0] if len(layers) == 1 else tuple(layers))
@@ -123,7 +123,7 @@ class FeaturePolicy(nn.Module):
 
 
 def _in_plain_operations(memory: nn.Module | None) -> nn.Module | None:
-    """The GRU or LSTM of TorchRL's module, in operations that ONNX has for any number of agents; None for others."""
+    """Return the GRU or LSTM of TorchRL's module in operations that ONNX has for any batch size; None for others."""
     if isinstance(memory, GRUModule):
         kind, layers = GRU, memory.gru
     elif isinstance(memory, LSTMModule):
@@ -148,29 +148,29 @@ class Goal:
         self.described = policy.describe(features[:, :1] if self.photo else features, recogniser)
 
     def threshold(self, chosen: float) -> float:
-        """Above which agents stop: the recogniser's own, or the one that was chosen, which is higher for a photo."""
+        """Return the score above which agents stop: the recogniser's own, or the chosen one, raised for a photo."""
         own = self.recogniser.thresholds
         if own is not None:
             return own.photo if self.photo else own.views
         return max(chosen, FRONT_THRESHOLD) if self.photo and self.policy.front is None else chosen
 
     def matching(self, features: Tensor, chosen: Tensor | None = None) -> Tensor:
-        """How much views ``[n, 4, D]`` look like the goals: score, or coefficient; see `scores`."""
+        """Return how much views ``[n, 4, D]`` look like the goals: score, or coefficient; see `scores`."""
         if self.recogniser.thresholds is None:
             return self.policy.matching(features, self.wanted(self.features, len(features), chosen))
         return self.scores(self.policy.describe(features, self.recogniser), chosen)
 
     def scores(self, visits: Tensor, chosen: Tensor | None = None) -> Tensor:
-        """The scores of described visits ``[n, 4, F]`` with the agents' goals, ``[n]``.
+        """Return the scores of described visits ``[n, 4, F]`` with the agents' goals, ``[n]``.
 
-        There are equally many of each agent: of the chosen ones, bool ``[B]``, or of all.
+        Each agent has equally many visits; ``chosen``, bool ``[B]``, leaves out agents that have none.
         """
         wanted = self.wanted(self.described, len(visits), chosen)
         return self.recogniser.scores(visits.unsqueeze(1), wanted.unsqueeze(1)).flatten()
 
     @staticmethod
     def wanted(goals: Tensor, rows: int, chosen: Tensor | None = None) -> Tensor:
-        """The goals of so many rows, equally many for each chosen agent."""
+        """Return the goals of so many rows, equally many for each chosen agent."""
         if len(goals) == 1:
             return goals.expand(rows, -1, -1)
         goals = goals if chosen is None else goals[chosen]
@@ -211,15 +211,15 @@ class Views:
 
     @property
     def along(self) -> None:
-        """A camera looks at its headings alone."""
+        """None: a camera sees nothing between its headings."""
 
     @property
     def toward(self) -> None:
-        """Likewise: no points are matched."""
+        """None: no points are matched."""
 
     @property
     def goal_pooled(self) -> Tensor:
-        """Those of the goals, ``[B, 4, D]``, or of photos ``[B, 1, D]``."""
+        """Pooled features of the goals, ``[B, 4, D]``, or of photos ``[B, 1, D]``."""
         views = 1 if self.goal.photo else VIEWS
         goal = self.goal.features[:, :views, : self.pooled.shape[-1]]
         return goal.expand(len(self.features), -1, -1)
@@ -234,7 +234,7 @@ class Views:
         return compare(self.goal.recogniser, seen, self.visit)
 
     def logits(self) -> Tensor:
-        """Those of the policy, whose state goes on: call this once."""
+        """Return the policy's logits and advance its state: call this once a step."""
         policy, wanted = self.goal.policy, self.goal.wanted(self.goal.features, len(self.features))
         state = self.state or initial_state(policy.policy, len(self.features), self.features.device).values()
         logits, _, *after = policy.decide(four_of(self.features), wanted, *state)
@@ -242,7 +242,7 @@ class Views:
         return logits if self.arrows is None else logits.masked_fill(~self.arrows[:, 0], NEVER)
 
     def facing(self, chosen: Tensor) -> Tensor:
-        """The policy's logits facing each view; of agents that are not chosen zero."""
+        """Return the chosen agents' logits, facing each view; zero for others."""
         headings = self.features.shape[1]
         logits = self.features.new_zeros(len(chosen), headings, len(ACTIONS))
         if chosen.any():
@@ -252,20 +252,20 @@ class Views:
         return logits
 
     def at_goal(self) -> Tensor:
-        """Whether the agents stop."""
+        """Return True where agents stop."""
         return self.matching > self.threshold
 
     def goal_around(self, chosen: Tensor) -> Tensor:
-        """Whether they would, facing each view; of agents that are not chosen False."""
+        """Return True where the chosen agents would stop, facing each view; False for others."""
         headings = self.features.shape[1]
-        found = chosen.new_zeros(len(chosen), headings)
+        stops = chosen.new_zeros(len(chosen), headings)
         if chosen.any():
             matching = self.goal.matching(each_heading(self.features[chosen]), chosen)
-            found[chosen] = matching.unflatten(0, (-1, headings)) > self.threshold
-        return found
+            stops[chosen] = matching.unflatten(0, (-1, headings)) > self.threshold
+        return stops
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
-        """Log odds that visits see the goal facing each view."""
+        """Return the log odds that visits see the goal facing each view."""
         recogniser = self.goal.recogniser
         if visits.shape[2] > VIEWS and isinstance(recogniser, ComparesPanoramas) and not self.goal.photo:
             wanted = recogniser.whole(self.goal.described).expand(len(visits), -1, -1)
@@ -274,7 +274,7 @@ class Views:
 
 
 def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
-    """How much described visits ``[B, K, F]`` look like earlier ones, ``[B, T, K, F]``, facing each of their views.
+    """Return scores of described visits ``[B, K, F]`` with earlier ones, ``[B, T, K, F]``, facing each of their views.
 
     An agent that turned right since a visit sees the same views rolled by minus one: rolled back they are alike. Of a
     panorama each four views, 90 degrees apart, are compared, and the mean is taken, unless the recogniser
@@ -294,5 +294,5 @@ def compare(recogniser: Recogniser, seen: Tensor, visit: Tensor) -> Tensor:
 
 
 def each_heading(views: Tensor) -> Tensor:
-    """Views ``[B, K, D]`` as agents see them that face each of the K, ``[K B, 4, D]``."""
+    """Return what agents see that face each of their K views, ``[B, K, D]`` to ``[K B, 4, D]``."""
     return torch.stack([four_of(views.roll(-turns, 1)) for turns in range(views.shape[1])], 1).flatten(0, 1)

@@ -20,19 +20,19 @@ from dirl.scenes.world import World
 
 PAIRS_AT_ONCE = 16_384
 
-WALKED = 50
-"""States that an episode passes, roughly; where there are more pairs to ask for beforehand, agents ask on their way."""
+STATES_PASSED = 50
+"""By an episode, roughly; with more pairs of goal and state than all episodes pass, the policy is called on the way."""
 
 Decide = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
-"""Of B agents the episode, what is seen ahead, the view ids ``[B, V]`` and the goal, int64, to logits ``[B, 4]``.
+"""From B agents' episode, view ahead, view ids ``[B, V]`` and goal, int64, to logits ``[B, 4]``.
 
-What is seen ahead is a view id, ``look * N + state``. A goal is its place among the world's G goals, plus G times its
+The view ahead is a view id, ``look * N + state``. A goal is its place among the world's G goals, plus G times its
 look.
 """
 
 
 def deciding(policy: nn.Module, world: World, observation: SurroundingViews, episodes: int) -> Decide:
-    """A function from the agents' states to their logits, with as few forward passes as possible.
+    """Return a function from the agents' states to their logits, with as few forward passes as possible.
 
     A memoryless policy on surrounding views has one output for each pair of goal and state; all are computed
     beforehand, unless episodes are few. With sequential views each distinct input is computed once, when it first
@@ -45,7 +45,7 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
         return _with_memory(policy, world, observation, episodes)
     if observation.history and packable(observation.pictures + 1, len(observation.order)):
         return _once_a_case(policy, world, observation)
-    if world.looks > 1 or observation.history or max(PAIRS_AT_ONCE, WALKED * episodes) < len(world.distances):
+    if world.looks > 1 or observation.history or max(PAIRS_AT_ONCE, STATES_PASSED * episodes) < len(world.distances):
         return lambda _, ahead, view_ids, wanted: policy(observe(world, observation, ahead, view_ids, wanted))["logits"]
     table, _ = answers(policy, world, observation)
     return lambda episode, ahead, view_ids, wanted: table.index_select(0, world.pair(wanted, ahead))
@@ -86,7 +86,7 @@ def _with_memory(policy: nn.Module, world: World, observation: SurroundingViews,
 
 
 def observe(world: World, observation: SurroundingViews, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> TensorDict:
-    """The input of a policy, ``[B]``: state, goal, scene, and the view ids of both; see `Decide`."""
+    """Return a policy's input, ``[B]``: state, goal, scene, and the view ids of state and goal; see `Decide`."""
     goal, look = world.goals[wanted % len(world.goals)], wanted // len(world.goals)
     return TensorDict(
         {
@@ -104,7 +104,7 @@ def observe(world: World, observation: SurroundingViews, ahead: Tensor, view_ids
 def answers(
     policy: nn.Module, world: World, observation: SurroundingViews, goal_index: int | None = None
 ) -> tuple[Tensor, Tensor]:
-    """The outputs of a policy for every pair of a goal and a state of its scene.
+    """Return the outputs of a policy for every pair of a goal and a state of its scene.
 
     Sequential views and memories are those at the start of an episode; states and goals have their default look.
     `deciding` looks up those of all goals.
@@ -208,23 +208,23 @@ class AgentBatch:
 
     @property
     def goal_pooled(self) -> Tensor:
-        """Those of the goals that are shown."""
+        """Pooled features of the goals that are shown."""
         world = self.known.world
         return world.features[self.visit[:, :0] if self.known.sweeps else self._goal_view_ids(self.shown)]
 
     def alike(self, seen: Tensor) -> Tensor:
-        """How much the visit looks like earlier ones."""
+        """Compare the visit with earlier ones."""
         assert self.known.scores is not None
         return self.known.scores.of_visits(seen, self.visit)
 
     def logits(self) -> Tensor:
-        """Those of the policy, which makes no blocked move where it sees arrows."""
+        """Return the policy's logits; where agents see arrows, those of blocked moves are `NEVER`."""
         assert self.known.decide is not None
         logits = self.known.decide(self.episode, self.ahead, self.view_ids, self.shown)
         return logits if self.arrows is None else logits.masked_fill(~self.arrows[:, 0], NEVER)
 
     def facing(self, chosen: Tensor) -> Tensor:
-        """The policy's logits facing each view; of agents that are not chosen zero."""
+        """Return the chosen agents' logits, facing each view; zero for others."""
         assert self.known.decide is not None
         ahead = self.visit[chosen].flatten()
         logits = torch.zeros((*self.visit.shape, len(ACTIONS)), device=ahead.device)
@@ -236,17 +236,17 @@ class AgentBatch:
         return logits
 
     def at_goal(self) -> Tensor:
-        """Whether the agents stop."""
+        """Return True where agents stop."""
         return self.known.arrived(self.wanted, self.ahead)
 
     def goal_around(self, chosen: Tensor) -> Tensor:
-        """Whether they would, facing each view, at what they are shown; of agents that are not chosen False."""
-        found = torch.zeros_like(self.visit, dtype=torch.bool)
-        found[chosen] = self.known.arrived(self.shown[chosen].unsqueeze(-1), self.visit[chosen])
-        return found
+        """Return True where chosen agents would stop at the goal they are shown, facing each view; False for others."""
+        stops = torch.zeros_like(self.visit, dtype=torch.bool)
+        stops[chosen] = self.known.arrived(self.shown[chosen].unsqueeze(-1), self.visit[chosen])
+        return stops
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
-        """Log odds that visits see the goal facing each view."""
+        """Return the log odds that visits see the goal facing each view."""
         scores = self.known.scores
         if visits.shape[2] > VIEWS and scores is not None and scores.whole is not None:
             goal = self._goal_view_ids(self.wanted)
@@ -255,7 +255,7 @@ class AgentBatch:
         return self.known.arrived(self.wanted[:, None, None], visits)
 
     def _goal_view_ids(self, wanted: Tensor) -> Tensor:
-        """The known views of goals, see `Decide`, by view id, int64 ``[W, 4]``, or ``[W, 1]`` of a photo."""
+        """Return the view ids of the goals' known views, see `Decide`, int64 ``[W, 4]``, or ``[W, 1]`` of a photo."""
         world = self.known.world
         look, goal = wanted // len(world.goals), world.goals[wanted % len(world.goals)]
         views = self.known.observation.goal_view_ids(goal + look * len(world))

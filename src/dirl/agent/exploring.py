@@ -17,7 +17,7 @@ from dirl.perception.recognition.recogniser import NCC, Recogniser, normal_vecto
 from dirl.scenes.graph import LEFT, RIGHT
 
 QUARTERS = 4
-"""So many quarter turns are compared before `TurnCheck` judges."""
+"""Number of quarter turns that `TurnCheck` compares before it judges."""
 
 ANY, NEARLY = -1.0, 0.05
 """Least correlation after a quarter turn, and how much better any other turn may fit, where views change on the way."""
@@ -44,7 +44,7 @@ class Explorer:
         self._turns = TurnCheck(graph)
 
     def see(self, images: Images, action: int | None = None) -> int:
-        """Add what is seen now to the map: the node where the walker is.
+        """Add what is seen now to the map and return the node where the walker is.
 
         Args:
             images: uint8 RGB ``[4, H, W, 3]``, ahead, right, back and left; for a `PlaceMap` also those of a
@@ -63,7 +63,7 @@ class Explorer:
         return self.graph.see(views, action)
 
     def next_action(self) -> int | None:
-        """The action after which most is learned soonest; None if everything in reach is known, or nothing was seen.
+        """Return the action that leads soonest to something unknown; None without any in reach, or before a look.
 
         Before a walk ends in which hardly any quarter turns were compared (see `TurnCheck`), it turns around once: with
         wrong ``turns`` little seems to be unknown.
@@ -75,8 +75,8 @@ class Explorer:
 
     def save(self, folder: str | Path) -> Path:
         """Write the map into a folder, see `dirl.agent.mapping.save_graph`."""
-        found = self.graph if isinstance(self.graph, ImageGraph) else self.graph.map()
-        return save_graph(found, folder, extractor=self.extractor, recogniser=self.recogniser)
+        place_map = self.graph if isinstance(self.graph, ImageGraph) else self.graph.map()
+        return save_graph(place_map, folder, extractor=self.extractor, recogniser=self.recogniser)
 
 
 class TurnCheck:
@@ -92,9 +92,9 @@ class TurnCheck:
         if isinstance(graph, ImageGraph) and isinstance(graph.recogniser, NCC):
             self.keep, self.margin = graph.keep, graph.margin
         self.fits: list[bool] = []
-        """Of each quarter turn, whether the views are those that were aside before."""
+        """For each quarter turn, True if the views are those that were aside before."""
         self.seen: list[Tensor] = []
-        """Since the last move."""
+        """The observations since the last move."""
         self._side: int | None = None
 
     def see(self, views: Tensor, action: int | None) -> None:
@@ -121,7 +121,7 @@ class TurnCheck:
             )
 
     def _fits(self, before: Tensor, now: Tensor, side: int) -> bool:
-        """Whether the view ahead was to the right (1) or to the left (-1) before, and so on around."""
+        """Return True if the view ahead was to the right (1) or to the left (-1) before, and so on around."""
         each = torch.stack([now.roll(side + k, 0).flatten() for k in range(VIEWS)])
         scores = normal_vectors(each) @ normal_vectors(before.flatten())
         return bool(scores[0] > self.keep and scores.max() <= scores[0] + self.margin)
@@ -134,7 +134,7 @@ def map_to_walk_on(
     recogniser: Recogniser,
     threshold: float,
 ) -> ImageGraph | ParticleMapper:
-    """The map of a walk, a new one or one that is known; see `dirl.Navigator.explore`."""
+    """Return the map of a walk, a new one or one that is known; see `dirl.Navigator.explore`."""
     if turns is not None:
         check_turns(turns)
     if known is not None and turns not in (None, known.turns):
@@ -151,7 +151,7 @@ def map_to_walk_on(
 
 
 def map_of(graph: object, extractor: str, recogniser: Recogniser) -> ImageGraph | PlaceMap:
-    """A map for a navigator with this extractor and recogniser, or the one that was saved in a folder.
+    """Return the map, or load it from its folder, for a navigator with this extractor and recogniser.
 
     Raises:
         NavigatorError: there is no such map, or it was made with another extractor or recogniser.

@@ -22,9 +22,9 @@ class NavigatorError(ValueError):
 
 
 def checked_images(images: Images, name: str, *, sequential: bool, views: int = VIEWS) -> tuple[Tensor, int, bool]:
-    """The images as one batch, uint8 ``[N, H, W, 3]``; the number of images per agent; whether a batch was given.
+    """Return one batch of images, uint8 ``[N, H, W, 3]``; the number of images an agent; whether a batch was given.
 
-    For what is accepted see `dirl.Navigator.reset`: one photo in place of four views only as ``goal_images``; and so
+    `dirl.Navigator.reset` says what is accepted: one photo in place of four views only as ``goal_images``; and so
     many ``views`` of a panorama.
 
     Raises:
@@ -88,7 +88,7 @@ def check_last_steps(last_steps: Any) -> None:
 
 
 def checked_moves(possible: Tensor | NDArray[np.bool_] | None, views: Tensor, *, batched: bool) -> Tensor | None:
-    """Which moves are possible, bool ``[B, K, 4]`` beside views ``[B, K, D]``, if that is known.
+    """Return which moves are possible, bool ``[B, K, 4]`` beside views ``[B, K, D]``, if that is known.
 
     Raises:
         NavigatorError: it has another shape or type.
@@ -103,13 +103,13 @@ def checked_moves(possible: Tensor | NDArray[np.bool_] | None, views: Tensor, *,
     return torch.as_tensor(possible, device=views.device).view(of_all)
 
 
-def checked_features(found: Any, rows: int, width: int, extractor: str) -> Tensor:
-    """What an encoder returned for so many images, floats ``[rows, width]``.
+def checked_features(returned: Any, rows: int, width: int, extractor: str) -> Tensor:
+    """Return what an encoder gave for so many images, floats ``[rows, width]``.
 
     Raises:
         NavigatorError: it has another shape or type, or is not finite.
     """
-    features = torch.as_tensor(found)
+    features = torch.as_tensor(returned)
     if features.shape != (rows, width) or not features.is_floating_point():
         raise NavigatorError(
             f"the encoder returned {features.dtype} {list(features.shape)} for {rows} images; the checkpoint was "

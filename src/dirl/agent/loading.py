@@ -37,9 +37,9 @@ def load_parts(
     device: str | torch.device,
     trust: Collection[str],
 ) -> dict[str, Any]:
-    """What a `dirl.Navigator` is made of, by name, from a checkpoint of ``origin``; see `Navigator.load`.
+    """Return the parts of a `dirl.Navigator`, by name, from a checkpoint of ``origin``; see `Navigator.load`.
 
-    Of component groups an option may be ``chosen`` instead of the checkpoint's.
+    ``chosen`` replaces the checkpoint's options of component groups.
     """
     if torch.device(device).type == "cuda" and not torch.cuda.is_available():
         raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
@@ -99,7 +99,7 @@ def image_encoder(
     patches: bool,
     fine: bool = False,
 ) -> Encoder:
-    """The encoder that was given, or that of its name or file; with ``patches`` their features follow the pooled ones.
+    """Return the given encoder, or load it by name or file; with ``patches`` their features follow the pooled ones.
 
     With ``fine`` they are followed by those of fine patches.
 
@@ -132,7 +132,7 @@ def image_encoder(
 
 
 def _check_extractor(saved: Mapping[str, Any], extractor: str, origin: str, hint: str = "") -> None:
-    """`check_extractor` with the error of a navigator."""
+    """Call `check_extractor` and raise its error as a `NavigatorError`."""
     try:
         check_extractor(saved, extractor, origin)
     except ConfigError as error:
@@ -140,7 +140,7 @@ def _check_extractor(saved: Mapping[str, Any], extractor: str, origin: str, hint
 
 
 def choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str | None:
-    """The name of the scene's layers in the network; None for shared ones."""
+    """Return the name of the scene's layers in the network; None for shared ones."""
     if scene is None and not shared and len(scenes) > 1:
         raise NavigatorError(f"say in which scene the agent is by scene=...; choose from {scenes}")
     if scene is not None and scene not in scenes:
@@ -149,14 +149,14 @@ def choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str |
 
 
 def matched_view(config: TrainConfig, order: list[str]) -> int | None:
-    """The index of the view that is matched with the goal's; None for all four."""
+    """Return the index of the view that is matched with the goal's; None for all four."""
     if order[-1] == "now":
         return VIEWS - 1  # the newest, the only one from where the agent is now
     return 0 if config.stop.match == Match.front else None
 
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
-    """The trained policy with the layers of one scene, and an empty table of features."""
+    """Return the trained policy with the layers of one scene, and an empty table of features."""
     weights, names = saved["network"], [scene or saved["scenes"][0]]
     if "features.mean" not in weights:
         raise NavigatorError(f"{origin}: the weights do not fit a policy on features; they lack features.mean")

@@ -29,7 +29,7 @@ from dirl.agent.images import (
 )
 from dirl.agent.loading import Encoder, load_parts
 from dirl.agent.mapping import ImageGraph, PlaceMap
-from dirl.agent.mapping.policy import LAST_STEPS, GraphGuide
+from dirl.agent.mapping.graph_policy import LAST_STEPS, GraphGuide
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.build import tell_of_turns, turns_of_training
@@ -50,7 +50,7 @@ of ``general`` through the built-in bathroom there are at most 5."""
 def one_at_a_time(
     method: Callable[Concatenate["Navigator", Given], Result],
 ) -> Callable[Concatenate["Navigator", Given], Result]:
-    """Let the calls of a navigator's method wait for each other."""
+    """Make the calls of a navigator's method wait for each other."""
 
     @wraps(method)
     def locked(self: "Navigator", /, *args: Given.args, **options: Given.kwargs) -> Result:
@@ -208,11 +208,11 @@ class Navigator:
         goal, known, guide = Goal(self.policy, self.recogniser, views), None, None
         if graph is not None:
             self._check_alone(len(views))
-            found = map_of(graph, self.facts["extractor"], self.recogniser)
-            if isinstance(found, ImageGraph):
-                guide = GraphGuide(found, goal.described[0], last_steps)
+            place_map = map_of(graph, self.facts["extractor"], self.recogniser)
+            if isinstance(place_map, ImageGraph):
+                guide = GraphGuide(place_map, goal.described[0], last_steps)
             elif isinstance(self.memory, LocalisingMemory):
-                known = found
+                known = place_map
                 if known.turns != self.turns:
                     raise NavigatorError(f"graph: was made with turns={known.turns}, this navigator has {self.turns}")
             else:
@@ -293,7 +293,7 @@ class Navigator:
 
     @property
     def _headings(self) -> int:
-        """The views that an agent may see: four, or with a memory that knows of panoramas those of all headings."""
+        """How many views an agent may see: four, or with a memory that takes panoramas one for each turn."""
         return self.turns if isinstance(self.memory, PlanningMemory | LocalisingMemory) else VIEWS
 
     def explore(self, graph: ImageGraph | PlaceMap | None = None, *, turns: int | None = None) -> Explorer:
@@ -313,13 +313,13 @@ class Navigator:
                 that is no multiple of four, or another one than the map's.
         """
         self._check_alone(1)
-        walked = map_to_walk_on(graph, turns, self.memory, self.recogniser, self.threshold)
-        return Explorer(self._visit, walked, self.facts["extractor"], self.recogniser)
+        place_map = map_to_walk_on(graph, turns, self.memory, self.recogniser, self.threshold)
+        return Explorer(self._visit, place_map, self.facts["extractor"], self.recogniser)
 
     @torch.no_grad()
     @one_at_a_time
     def _visit(self, images: Images) -> Tensor:
-        """The described views of one walker, float32 ``[4, F]``, or in a panorama those of all headings."""
+        """Return the described views of one walker, float32 ``[4, F]``, or in a panorama those of all headings."""
         headings = self._headings if isinstance(self.memory, LocalisingMemory) else VIEWS
         views, batched = self._encode(images, "images", headings)
         if batched:
@@ -332,8 +332,8 @@ class Navigator:
             raise NavigatorError("a map leads one agent that sees four views around it, not a batch")
 
     def _encode(self, images: Images, name: str, headings: int = VIEWS) -> tuple[Tensor, bool]:
-        """Features, float32 ``[B, V, D]`` of V views an agent, and whether the images were a batch."""
+        """Return features, float32 ``[B, V, D]``, of V views an agent, and whether the images were a batch."""
         pixels, count, batched = checked_images(images, name, sequential=self.sequential, views=headings)
         width = self.width + (math.prod(FINE_SHAPE) if self.fine else 0)
-        found = checked_features(self.encoder(pixels.to(self.device)), len(pixels), width, self.facts["extractor"])
-        return found.to(self.device, torch.float32).unflatten(0, (-1, count)), batched
+        features = checked_features(self.encoder(pixels.to(self.device)), len(pixels), width, self.facts["extractor"])
+        return features.to(self.device, torch.float32).unflatten(0, (-1, count)), batched

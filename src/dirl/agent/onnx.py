@@ -56,8 +56,8 @@ def export_onnx(navigator: Navigator, file: str | Path, opset: int | None = None
             verbose=False,
         )
     assert program is not None
-    if opset not in (None, made := program.model.opset_imports[""]):  # torch goes back to another with a warning
-        raise NavigatorError(f"opset={opset}: torch cannot export this policy for it, but for {made}")
+    if opset not in (None, exported := program.model.opset_imports[""]):  # torch goes back to another with a warning
+        raise NavigatorError(f"opset={opset}: torch cannot export this policy for it, but for {exported}")
     views = ",".join(navigator.view_order)
     program.model.metadata_props.update(navigator.facts | {"views": views, "threshold": str(navigator.threshold)})
     with atomic_path(Path(file)) as temporary:

@@ -96,13 +96,13 @@ class Task:
     def space(self) -> spaces.Space[Any]:
         """Return the observation space."""
         low, high = self.features.min(), self.features.max()
-        made: dict[str, spaces.Space[Any]] = {}
+        by_key: dict[str, spaces.Space[Any]] = {}
         for key, seen in self.observe(0, 0).items():
             if key.endswith("features"):
-                made[key] = spaces.Box(low, high, seen.shape, np.float32)
+                by_key[key] = spaces.Box(low, high, seen.shape, np.float32)
             else:
-                made[key] = spaces.Box(0, 255, seen.shape, np.uint8)
-        return spaces.Dict(made)
+                by_key[key] = spaces.Box(0, 255, seen.shape, np.uint8)
+        return spaces.Dict(by_key)
 
     def draw(self, rng: np.random.Generator) -> tuple[int, int]:
         """Return the goal's index and the start of a new episode, sampled as `NavigationEnv` does."""
@@ -128,13 +128,13 @@ class Task:
 
     def observe(self, goal: int, state: int) -> Observation:
         """Return what an agent sees: features float32 ``[4, D]``, views uint8 ``[4, H, W, 3]``."""
-        made: Observation = {}
-        for prefix, at, count in (("", state, VIEWS), ("goal_", self.goals[goal], self.goal_views)):
-            around = self.surrounding[at, :count]
+        observation: Observation = {}
+        for prefix, ahead, count in (("", state, VIEWS), ("goal_", self.goals[goal], self.goal_views)):
+            around = self.surrounding[ahead, :count]
             for key in self.observed:
-                seen = self.features[around] if key == "features" else np.stack([self.view(int(one)) for one in around])
-                made[prefix + key] = seen
-        return made
+                seen = self.features[around] if key == "features" else np.stack([self.view(int(at)) for at in around])
+                observation[prefix + key] = seen
+        return observation
 
     def view(self, state: int) -> NDArray[np.uint8]:
         """Return the decoded view of a state, cached; grey if the scene has no views."""

@@ -23,11 +23,11 @@ from dirl.scenes.live import Pose, Simulator, shortest_move, simulator_errors, s
 from dirl.scenes.world import World
 
 QUARTERS = (0.0, 90.0, 180.0, 270.0)
-NEAR = 0.02
+SNAP = 0.02
 """Metres, and degrees, from a place of the dump at which the agent counts as exactly there."""
 
 MOVES = 100_000
-"""Whose ends are remembered."""
+"""Moves at most whose end poses are remembered."""
 
 Key = tuple[float, float, float]
 """A view: x and z in millimetres, heading in tenths of a degree."""
@@ -79,7 +79,7 @@ class LiveEnv(NavigationEnv):
         places = np.column_stack([scene.positions, scene.headings]).astype(np.float64)
         self.places = torch.from_numpy(places).to(world.device)
         self.rows: OrderedDict[Key, int] = OrderedDict()
-        """Of the views that are remembered, in the order in which they were seen last."""
+        """Table rows of the remembered views, in the order in which they were seen last."""
         self._pushed = lru_cache(MOVES)(self._push)
         agents = self.batch_size
         seen = (*agents, VIEWS)
@@ -106,12 +106,12 @@ class LiveEnv(NavigationEnv):
         taken = (tensordict["pose"], tensordict["state"], tensordict["action"], errors, slipped)
         after = [
             pose if slips else self._after(pose, float(self.places[state, 2]), action, error)
-            for pose, state, action, error, slips in zip(*(one.tolist() for one in taken), strict=True)
+            for pose, state, action, error, slips in zip(*(values.tolist() for values in taken), strict=True)
         ]
         pose = torch.tensor(after, dtype=torch.float64, device=self.device)
         state = self._nearest(pose)
         at = self.places[state]
-        near = (torch.linalg.vector_norm(pose[:, :2] - at[:, :2], dim=1) < NEAR) & (_turned(pose, at) < NEAR)
+        near = (torch.linalg.vector_norm(pose[:, :2] - at[:, :2], dim=1) < SNAP) & (_turned(pose, at) < SNAP)
         pose = torch.where(near[:, None], at, pose)
         return {"state": state, "pose": pose, **self._seen(pose, tensordict["goal"])}
 

@@ -11,7 +11,7 @@ from dirl.scenes import Scene
 from dirl.scenes.palette import BLUE, COLORS, GOAL_COLOR, WALL_COLOR
 
 HEIGHT = 300
-"""Of a rendered picture, pixels."""
+"""Height of a rendered picture, pixels."""
 
 
 class RoomMap:

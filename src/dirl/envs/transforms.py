@@ -16,7 +16,7 @@ from torchrl.envs import Transform
 from dirl.scenes.world import World
 
 VIEWS = 4
-"""Of a node: ahead, right, back and left."""
+"""Number of views around an agent: ahead, right, back and left."""
 
 
 class SurroundingViews(Transform):
@@ -61,8 +61,8 @@ class SurroundingViews(Transform):
 
     def _picture(self, tensordict: TensorDictBase, state: str, look: str) -> Tensor:
         """Return the view id of a state in the look that was sampled; the state itself where there is one look."""
-        found: Tensor = tensordict[state]
-        return found if self.pictures == self.states else found + self.states * tensordict[look]
+        picture: Tensor = tensordict[state]
+        return picture if self.pictures == self.states else picture + self.states * tensordict[look]
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         tensordict_reset["view_ids"] = self.reset_view_ids(self._picture(tensordict_reset, "state", "look"))
@@ -90,18 +90,18 @@ def front_only(views: Tensor, unknown: int) -> Tensor:
     return torch.where(torch.arange(views.shape[-1], device=views.device) == 0, views, unknown)
 
 
-def broken_promise(made: SurroundingViews) -> str | None:
-    """Return what would be learnt wrong without a word by a transform of one's own; None if nothing is.
+def broken_promise(own: SurroundingViews) -> str | None:
+    """Return why a transform of one's own would silently be learnt wrongly; None if it keeps its contract.
 
-    Demonstrations, caches and evaluation ask `reset_view_ids` what is seen; the environment also `step_view_ids`.
+    Demonstrations, caches and evaluation call `reset_view_ids`; the environment also calls `step_view_ids`.
     """
-    every = torch.arange(made.pictures, device=made.surrounding.device)
-    seen = made.reset_view_ids(every)
-    if seen.shape != (len(every), len(made.order)):
-        return f"reset_view_ids gives {list(seen.shape)} for {len(every)} pictures; order names {len(made.order)} views"
-    if not torch.equal(seen, made.reset_view_ids(every)):
+    every = torch.arange(own.pictures, device=own.surrounding.device)
+    seen = own.reset_view_ids(every)
+    if seen.shape != (len(every), len(own.order)):
+        return f"reset_view_ids gives {list(seen.shape)} for {len(every)} pictures; order names {len(own.order)} views"
+    if not torch.equal(seen, own.reset_view_ids(every)):
         return "reset_view_ids gives other views of a picture each time it is called"
-    if not made.history and not torch.equal(made.step_view_ids(seen.roll(1, 0), every), seen):
+    if not own.history and not torch.equal(own.step_view_ids(seen.roll(1, 0), every), seen):
         return "step_view_ids gives other views than reset_view_ids, so set history = True"
     return None
 
@@ -125,7 +125,7 @@ class SequentialViews(SurroundingViews):
         return picture.unsqueeze(-1).expand(*picture.shape, len(self.order)).clone()
 
     def step_view_ids(self, view_ids: Tensor, picture: Tensor) -> Tensor:
-        """``view_ids`` without the oldest, and the new picture, int64 ``[..., 4]``."""
+        """Return ``view_ids`` without the oldest, and the new picture, int64 ``[..., 4]``."""
         return torch.cat([view_ids[..., 1:], picture.unsqueeze(-1)], -1)
 
 

@@ -20,13 +20,13 @@ RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos
 
 
 def stable_frames(result: Result, key: str = "stable_at_frame") -> float:
-    """When the policy became stable, in frames; infinity if it never did."""
+    """Return when the policy became stable, in frames; infinity if it never did."""
     frame = result.summary[key]
     return math.inf if frame is None else float(frame)
 
 
 def mean_stable_frames(result: Result) -> float:
-    """The frame from which the mean over the goals is low enough, a weaker criterion; infinity if it never is.
+    """Return the frame from which the mean over the goals is low enough, a weaker criterion; infinity if never.
 
     Taken from ``reinforcement.csv``, so it is one of its rows.
     """
@@ -37,7 +37,7 @@ def mean_stable_frames(result: Result) -> float:
 
 
 def training_curve(result: Result) -> tuple[FloatArray, FloatArray]:
-    """Frames and training ATL, ``[K]`` each, once there are `WINDOW` episodes a goal.
+    """Return frames and training ATL, ``[K]`` each, once there are `WINDOW` episodes a goal.
 
     The first episodes to end are short ones, so the mean of few episodes is biased.
     """
@@ -82,7 +82,7 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
 def _settings(
     experiment: str, results: Sequence[Result], paper: Summary
 ) -> Iterator[tuple[str, list[Result], float | None, bool]]:
-    """The label of each setting, its runs, the frames that the paper reports or None, and whether it is drawn."""
+    """Yield each setting's label, its runs, the frames that the paper reports or None, and whether it is drawn."""
     if experiment == "fig4":
         for system, runs in by_system(results).items():
             if system in ("dirl", "td_drl", "a3c", "dirl_ppo", "dirl_compared"):
@@ -125,5 +125,5 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
 
 
 def views_of(config: TrainConfig) -> str:
-    """``surrounding`` or ``sequential``."""
+    """Return ``surrounding`` or ``sequential``."""
     return config.observation["_target_"].rpartition(".")[2].removesuffix("Views").lower()

@@ -12,7 +12,7 @@ from dirl.reporting.style import plain, write_figure
 
 
 def panels(count: int, size: tuple[float, float], *, sharey: bool = True) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels side by side, ``size`` in inches."""
+    """Make a figure of so many panels side by side, ``size`` in inches."""
     figure = Figure(figsize=size, layout="constrained")
     grid = list(figure.subplots(1, count, sharey=sharey, squeeze=False)[0])
     for axes in grid:
@@ -21,14 +21,14 @@ def panels(count: int, size: tuple[float, float], *, sharey: bool = True) -> tup
 
 
 def band(axes: Axes, x: ArrayLike, values: ArrayLike, color: str, label: str | None) -> None:
-    """A line through the means of ``values`` ``[R, K]`` of R runs, in a band of their intervals."""
+    """Draw a line through the means of ``values`` ``[R, K]`` of R runs, in a band of their intervals."""
     low, high = bootstrap_interval(values)
     axes.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axes.plot(x, iqm(values), color=color, label=label, linewidth=1.6)
 
 
 def interval_row(axes: Axes, place: float, values: Sequence[float], color: str) -> None:
-    """A mean as a point on a thick line, its interval, at a height."""
+    """Draw a mean as a point on a thick line, its interval, at a height."""
     low, high = bootstrap_interval(values)
     axes.plot([low, high], [place, place], color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
     axes.plot(iqm(values), place, "o", color=color)

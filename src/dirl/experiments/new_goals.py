@@ -27,11 +27,11 @@ MAX_STEPS = 500
 """An episode that has not arrived by then has failed."""
 
 SYSTEMS = ("dirl", "td_drl", "a3c")
-"""Those that are compared; in figure 5 also ``dirl_compared`` and ``any_goal``, at goals that they were not shown."""
+"""Systems that are compared; in figure 5 also ``dirl_compared`` and ``any_goal``, at goals that they were not shown."""
 
 
 def new_goals(world: World, distance: int, among: Mapping[str, Sequence[int]] | None = None) -> dict[str, list[int]]:
-    """Goals that are so many steps, turns among them, from the nearest trained one, by scene, as states of it.
+    """Return goals so many steps, turns among them, from the nearest trained one, by scene, as states of it.
 
     Up to `PER_SCENE` of each scene, drawn from the states in ``among``, or from all, that every state with a path to a
     trained goal reaches. A scene without any is left out.
@@ -65,17 +65,17 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
         for system, runs in compared.items():
             worlds = [_of_the_paper(run) for run in runs]
             for distance in DISTANCES:
-                found = []
+                measured = []
                 for run, (world, among) in zip(runs, worlds, strict=True):
                     chosen = new_goals(world, distance, among)
                     if chosen:
-                        found.append(_measured(run, chosen, starts, by_chance=system == "random"))
+                        measured.append(_measured(run, chosen, starts, by_chance=system == "random"))
                     bar.update()
-                if not found:
+                if not measured:
                     continue
-                sampled, greedy = zip(*found, strict=True)
-                rates, spl = [one["sr"] for one in sampled], [one["spl"] for one in sampled]
-                sure = None if system == "random" else [one["sr"] for one in greedy]
+                sampled, greedy = zip(*measured, strict=True)
+                rates, spl = [run["sr"] for run in sampled], [run["spl"] for run in sampled]
+                sure = None if system == "random" else [run["sr"] for run in greedy]
                 goals, shortest = sum(map(len, chosen.values())), sampled[0]["shortest"]
                 table.add(NAMES[system], len(runs), distance, goals, rates, spl, sure, shortest)
                 bars.setdefault(NAMES[system], {})[distance] = rates
@@ -89,7 +89,7 @@ def report_new_goals(results: Sequence[Result], out: Path, note: str, starts: in
 
 
 def _of_the_paper(run: Result) -> tuple[World, dict[str, tuple[int, ...]] | None]:
-    """The world with the scenes' own goals, and, of a run that was trained for others too, those that it was not."""
+    """Return the world with the scenes' own goals; if the run was trained for others too, also those it was not."""
     world = run.load().protocol.world
     if not run.config.hold_out:
         return world, None
@@ -100,7 +100,7 @@ def _of_the_paper(run: Result) -> tuple[World, dict[str, tuple[int, ...]] | None
 def _measured(
     run: Result, chosen: Mapping[str, list[int]], starts: int, *, by_chance: bool
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """The measures of a run's policy on its way to new goals, sampled and greedy; or a random walker's, twice."""
+    """Measure a run's policy on its way to new goals, sampled and greedy; or a random walker, twice."""
     changes = {"goals": chosen, "evaluation.starts": "sampled", "evaluation.episodes_per_goal": starts}
     _, policy, protocol = run.load({**changes, "evaluation.max_steps": MAX_STEPS})
     world = protocol.world
@@ -159,7 +159,7 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
                 arrived, name = bool(episodes.success[farthest]), f"fig6_{system}"
                 pictures[name] = f"The path of {NAMES[system]} from the farthest start on the map, and views along it"
                 _draw_walk(protocol.world, run, goal, paths[farthest], out / name, success=arrived)
-        steps, rates = [one["atl"] for one in every], [one["sr"] for one in every]
+        steps, rates = [means["atl"] for means in every], [means["sr"] for means in every]
         shortest = int(episodes.shortest.max())
         table.add(NAMES[system], len(runs), paper.get(system), walked, steps, rates, shortest)
     text = (

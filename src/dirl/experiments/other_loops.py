@@ -19,7 +19,7 @@ from dirl.training.build import build_optimiser, build_world
 
 
 def stock_torchrl(config: TrainConfig, updates: int) -> float:
-    """TorchRL as its A2C examples use it: collector, features as keys, GAE and loss with networks of their own passes.
+    """Train as TorchRL's A2C examples do: collector, features as keys, GAE and loss with forward passes of their own.
 
     Its batches and network are ours; there is no imitation in it. Returns frames per second of so many updates, without
     the set-up.

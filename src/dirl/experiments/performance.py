@@ -21,7 +21,7 @@ MEASURES = {
 
 
 def is_reinforced(config: TrainConfig) -> bool:
-    """Whether a system is trained by reinforcement learning, and so has a half-way."""
+    """Return True if a system is trained by reinforcement learning, and so has a half-way."""
     learns = config.policy["_target_"] not in (
         "dirl.evaluation.experts.RandomPolicy",
         "dirl.evaluation.experts.ShortestPathPolicy",
@@ -30,7 +30,7 @@ def is_reinforced(config: TrainConfig) -> bool:
 
 
 def halfway(result: Result) -> dict[str, float]:
-    """The greedy measures after half of the frames; of a system without reinforcement those at its end."""
+    """Return the greedy measures after half of the frames; without reinforcement learning those at the end."""
     if not is_reinforced(result.config):
         return measures(result, "greedy")
     rows = result.table("evaluation", "frames", *MEASURES)
@@ -39,9 +39,9 @@ def halfway(result: Result) -> dict[str, float]:
 
 
 def measures(result: Result, mode: str) -> dict[str, float]:
-    """The measures at the end; an ATL of no successes is NaN."""
-    found = result.summary[mode]
-    return {name: float("nan") if found[name] is None else found[name] for name in MEASURES}
+    """Return the measures at the end; an ATL of no successes is NaN."""
+    summary = result.summary[mode]
+    return {name: float("nan") if summary[name] is None else summary[name] for name in MEASURES}
 
 
 def report_performance(experiment: str, results: Sequence[Result], out: Path, note: str) -> str:
@@ -57,13 +57,13 @@ def report_performance(experiment: str, results: Sequence[Result], out: Path, no
     for mode in ("greedy",) if half else ("greedy", "sampled"):
         tables[f"{experiment}_{mode}"] = table = Table(columns)
         for system, runs in by_system(results).items():
-            found = [halfway(run) if half else measures(run, mode) for run in runs]
-            values = {name: [run[name] for run in found] for name in MEASURES}
-            told: Summary = paper.get(system, {})
+            measured = [halfway(run) if half else measures(run, mode) for run in runs]
+            values = {name: [run[name] for run in measured] for name in MEASURES}
+            reported: Summary = paper.get(system, {})
             frames = max(run.total for run in runs) // (2 if half and is_reinforced(runs[0].config) else 1)
             cells: list[Cell] = [NAMES.get(system, system), len(runs), frames]
             for name in MEASURES:
-                cells += [values[name]] if name == "atl_success" else [told.get(name), values[name]]
+                cells += [values[name]] if name == "atl_success" else [reported.get(name), values[name]]
             table.add(*cells)
             drawn.setdefault(system, values)
     _draw(drawn, paper, out, experiment)

@@ -58,40 +58,40 @@ class Result:
         return [names] if isinstance(names, str) else names
 
     def load(self, changes: Mapping[str, object] | None = None) -> Trained:
-        """Its policy with the final weights; ``changes`` are options to replace, by dotted name."""
+        """Load its policy with the final weights; ``changes`` are options to replace, by dotted name."""
         return load_trained(load_checkpoint(self.folder), str(self.folder), changes)
 
     def table(self, stage: str, *names: str) -> dict[str, FloatArray]:
-        """Columns of ``<stage>.csv``, see `dirl.reporting.tables.read_columns`."""
+        """Read columns of ``<stage>.csv``, see `dirl.reporting.tables.read_columns`."""
         return read_columns(self.folder / f"{stage}.csv", *names)
 
 
 def finished_runs(folder: Path, hint: str) -> list[Result]:
-    """The finished runs right in a folder, by name; those that are not finished are named on the terminal.
+    """Return the finished runs right in a folder, by name; print the names of unfinished ones.
 
     Raises:
         RunError: there is none; ``hint`` says how to make them.
     """
     folders, unfinished = finished_folders(folder, hint)
     if unfinished:
-        print(f"not finished, left out: {', '.join(one.name for one in unfinished)}")
-    found = [
+        print(f"not finished, left out: {', '.join(run.name for run in unfinished)}")
+    finished = [
         Result(
-            one,
-            read_config(read_text(one / "config.yaml"), origin=str(one / "config.yaml")),
-            json.loads(read_text(one / "summary.json")),
+            run,
+            read_config(read_text(run / "config.yaml"), origin=str(run / "config.yaml")),
+            json.loads(read_text(run / "summary.json")),
         )
-        for one in folders
+        for run in folders
     ]
     # Of a collection, experiments compare runs that have more rooms with runs that have fewer.
-    scenes = {str(one.config.scene if one.config.split else one.summary["scene"]) for one in found}
+    scenes = {str(run.config.scene if run.config.split else run.summary["scene"]) for run in finished}
     if len(scenes) > 1:
         raise RunError(f"{folder}: holds runs of different scenes, {' and '.join(sorted(scenes))}; report them apart")
-    return found
+    return finished
 
 
 def grouped(results: Sequence[Result], key: Callable[[TrainConfig], K]) -> dict[K, list[Result]]:
-    """Runs grouped by a function of their configuration, in their order."""
+    """Group runs by a function of their configuration, in their order."""
     groups: dict[K, list[Result]] = {}
     for result in results:
         groups.setdefault(key(result.config), []).append(result)
@@ -99,19 +99,19 @@ def grouped(results: Sequence[Result], key: Callable[[TrainConfig], K]) -> dict[
 
 
 def by_system(results: Sequence[Result]) -> dict[str, list[Result]]:
-    """Runs by system, in the order of `NAMES`."""
+    """Group runs by system, in the order of `NAMES`."""
     groups = grouped(results, lambda config: config.system)
     return {name: groups[name] for name in [*NAMES, *sorted(set(groups) - set(NAMES))] if name in groups}
 
 
 def published(experiment: str) -> Summary:
-    """The paper's numbers, and under ``source`` their place in it."""
+    """Return the paper's numbers, and under ``source`` their place in it."""
     text = (Path(__file__).parent / "published.toml").read_text()
     return tomllib.loads(text)[experiment]
 
 
 Cell = str | float | list[float] | None
-"""Of a `Table`: a text, a number, numbers of all runs, or nothing."""
+"""A cell of a `Table`: a text, a number, numbers of all runs, or nothing."""
 
 
 class Table:
@@ -131,14 +131,14 @@ class Table:
         self.rows.append(cells)
 
     def markdown(self) -> str:
-        """The table as Markdown."""
+        """Return the table as Markdown."""
         forms = list(self.columns.values())
         lines = [list(self.columns), ["--:" if form else ":--" for form in forms]]
         lines += [[_text(*cell) for cell in zip(row, forms, strict=True)] for row in self.rows]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
     def write_csv(self, file: Path) -> None:
-        """A row for each run: rows without lists once, else one for each place in the lists, numbered as ``run``."""
+        """Write rows for each run: rows without lists once, else one for each place in the lists, numbered ``run``."""
         with atomic_path(file) as temporary, temporary.open("w", newline="") as stream:
             writer = csv.writer(stream)
             writer.writerow([*self.columns, "run"])
@@ -174,7 +174,7 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
 def kept(file: Path, measure: Callable[[], T]) -> T:
     """Return what a JSON file holds; if there is none yet, it is measured and written."""
     if not file.exists():
-        found = measure()
+        result = measure()
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(file, found)
+        write_json(file, result)
     return json.loads(read_text(file))

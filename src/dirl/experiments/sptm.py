@@ -27,11 +27,11 @@ from dirl.scenes.scene import SceneError
 GOALS = ("tall_red_pillar", "candelabra", "tall_blue_torch", "short_green_pillar")
 STARTS = ("map02", "map03", "map04", "map05")
 
-NEAR = 63
+REACH = 63
 """Units of the map: so near is at the goal."""
 
 STEPS, REPEAT = 5000, 4
-"""Of the simulator in an episode, and for each action."""
+"""Steps of the simulator in an episode, and for each action."""
 
 SKIP = 4
 """Every so many frames of the walkthrough one is kept."""
@@ -41,7 +41,7 @@ WAIT = 140
 
 AHEAD, BACK, LEFT, RIGHT, IDLE, TURN_LEFT, TURN_RIGHT = range(7)
 BUTTONS = ("MOVE_FORWARD", "MOVE_BACKWARD", "MOVE_LEFT", "MOVE_RIGHT", None, "TURN_LEFT", "TURN_RIGHT")
-"""Of Doom, for each action."""
+"""Doom's button for each action."""
 
 SECOND = 35.0
 """Steps of the simulator."""
@@ -65,7 +65,7 @@ class Maze(NamedTuple):
 
     @property
     def name(self) -> str:
-        """That of its files."""
+        """The name of its files."""
         return self.folder.rpartition("/")[2]
 
 
@@ -119,7 +119,7 @@ class Game:
             self.act(IDLE, WAIT)
 
     def replay(self, name: str) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-        """The frames of a recording, ``[T, 120, 160, 3]``, and the positions, ``[T, 2]``."""
+        """Return the frames of a recording, ``[T, 120, 160, 3]``, and the positions, ``[T, 2]``."""
         copied = Path(self._folder.name) / "m.lmp"
         shutil.copy(self.files / f"{name}.lmp", copied)
         frames, places = [], []
@@ -144,7 +144,7 @@ class Game:
             self._game.make_action([int(name == BUTTONS[action]) for name in self._buttons], steps)
 
     def see(self) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-        """The present frame and position."""
+        """Return the present frame and position."""
         with simulator_errors("VizDoom"):
             state = self._game.get_state()
             return state.screen_buffer.copy(), state.game_variables[:2].copy()
@@ -156,7 +156,7 @@ class Game:
 
 
 def check_files(data: Path, maze: Maze) -> Path:
-    """Where the maps of a maze are; raises `SceneError` if they, or the settings, are not there."""
+    """Return where the maps of a maze are; raise `SceneError` if they, or the settings, are not there."""
     wad = data / maze.folder / f"{maze.name}.wad_manymaps_test.wad"
     for file in (wad, data / "default.cfg"):
         if not file.is_file():
@@ -165,11 +165,11 @@ def check_files(data: Path, maze: Maze) -> Path:
 
 
 def walk(game: Game, start: str, goal: tuple[float, float], walker: Walker) -> tuple[bool, int]:
-    """An episode: whether the goal was reached, and after how many steps of the simulator."""
+    """Walk an episode; return whether the goal was reached, and after how many steps of the simulator."""
     game.start(start)
     for steps in range(0, STEPS + 1, REPEAT):
         frame, place = game.see()
-        if np.hypot(*(place - goal)) <= NEAR:
+        if np.hypot(*(place - goal)) <= REACH:
             return True, steps
         if steps + REPEAT <= STEPS:
             game.act(walker(frame))
@@ -177,7 +177,7 @@ def walk(game: Game, start: str, goal: tuple[float, float], walker: Walker) -> t
 
 
 def random_walker(seed: int) -> Walker:
-    """One of the actions at random, as SPTM's control."""
+    """Make a walker that takes one of the actions at random, as SPTM's control."""
     draw = np.random.default_rng(seed)
     return lambda frame: int(draw.integers(len(BUTTONS)))
 
@@ -213,7 +213,7 @@ class Player:
         return action
 
     def _obey(self, advice: Guidance) -> int:
-        """The button for an advice; looking around where it is lost."""
+        """Return the button for an advice; look around where the guide is lost."""
         self._lost = self._lost + 1 if advice.say == "lost" else 0
         if advice.say == "stuck" or (self._lost and self._lost % CIRCLE == 0):
             return self._wander()
@@ -254,7 +254,7 @@ def map_walkthrough(frames: NDArray[np.uint8]) -> FrameMap:
 
 
 def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool, int]]:
-    """So many trials from every start to every goal of a maze: whether each was reached, and after how many steps.
+    """Walk so many trials from every start to every goal of a maze; return success and steps of each.
 
     ``data`` is SPTM's folder of this name; ``name`` says what walks: `MEMORY`, `BLIND` or `RANDOM`.
     """
@@ -299,16 +299,16 @@ def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = Fals
     walking = in_processes(tasks, workers or os.cpu_count() or 1, f"{out}: a process that walked in a maze")
     for _ in tqdm(walking, total=len(tasks), unit=" walks", disable=None):
         pass
-    found = [read() for read in tasks]  # all are kept by now
+    walked = [read() for read in tasks]  # all are kept by now
     table = Table({"maze": "", "walks by": "", "reached": ".2f", "steps, median": ".0f", "episodes": "d"})
-    for (maze, name), episodes in zip(walks, found, strict=True):
+    for (maze, name), episodes in zip(walks, walked, strict=True):
         table.add(maze.name, name, *_measures(episodes))
     for name in (MEMORY, BLIND, RANDOM):
-        every = [one for (_, walked), episodes in zip(walks, found, strict=True) if walked == name for one in episodes]
+        every = [episode for (_, by), episodes in zip(walks, walked, strict=True) if by == name for episode in episodes]
         table.add("all", name, *_measures(every))
     text = (
         f"{len(mazes)} mazes, {len(STARTS)} starts, {len(GOALS)} goals, {trials} of 6 trials. An episode ends "
-        f"within {NEAR} units of the goal, or after {STEPS:,} steps of the simulator without success; an action takes "
+        f"within {REACH} units of the goal, or after {STEPS:,} steps of the simulator without success; an action takes "
         f"{REPEAT} steps. The memory is the human's walkthrough, its frames alone. Protocol and mazes: Savinov, "
         "Dosovitskiy and Koltun, Semi-parametric topological memory for navigation, ICLR 2018 (arXiv 1803.00653)."
     )

@@ -3,7 +3,7 @@
 from dirl.models.comparing import ComparingEncoder
 from dirl.models.features import FeatureTable, ObservationTable, feature_statistics, whitening
 from dirl.models.localising import LocalisingMemory
-from dirl.models.planning import PlanningMemory, Walked
+from dirl.models.planning import PlanningMemory, PlanState
 from dirl.models.policy import (
     ActorCritic,
     ActorCriticHeads,
@@ -25,9 +25,9 @@ __all__ = [
     "KeyedModule",
     "LocalisingMemory",
     "ObservationTable",
+    "PlanState",
     "PlanningMemory",
     "SiameseEncoder",
-    "Walked",
     "caching",
     "feature_statistics",
     "initial_state",

@@ -43,7 +43,7 @@ class Nodes:
 
 
 @dataclass
-class Walked(Nodes):
+class PlanState(Nodes):
     """What B agents have seen and done in their present episodes; made by `PlanningMemory.begin`.
 
     A node is a place and a heading, that of one of the K views there, clockwise from the first:
@@ -99,7 +99,7 @@ class PlanningMemory(nn.Module):
         super().__init__()
         self.repeated, self.turn, self.threshold = repeated, turn, threshold
 
-    def begin(self, turns: Tensor, views: int = VIEWS) -> Walked:
+    def begin(self, turns: Tensor, views: int = VIEWS) -> PlanState:
         """What agents know at the start of their episodes.
 
         Args:
@@ -108,7 +108,7 @@ class PlanningMemory(nn.Module):
         """
         agents, device = len(turns), turns.device
         nowhere = torch.full((agents,), -1, device=device)
-        return Walked(
+        return PlanState(
             cost=torch.empty((agents, 0, len(ACTIONS)), device=device),
             after=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.int64, device=device),
             ring=torch.empty((agents, 0, len(ACTIONS)), dtype=torch.int64, device=device),
@@ -119,7 +119,7 @@ class PlanningMemory(nn.Module):
             next_view=turns == views,
         )
 
-    def arrive(self, walked: Walked, same: Tensor, cost: Tensor, goal: Tensor) -> Walked:
+    def arrive(self, walked: PlanState, same: Tensor, cost: Tensor, goal: Tensor) -> PlanState:
         """Add where the agents are now, and what their last action led to.
 
         Args:
@@ -139,7 +139,7 @@ class PlanningMemory(nn.Module):
         ring[:, :, RIGHT], ring[:, :, LEFT] = new.roll(-1), new.roll(1)
         after = torch.where(walked.next_view[:, None, None], ring, -1)
         at = torch.arange(agents, device=device)
-        made = Walked(
+        made = PlanState(
             cost=torch.cat([walked.cost, cost], 1),
             after=torch.cat([walked.after, after], 1),
             ring=torch.cat([walked.ring, ring], 1),
@@ -155,7 +155,7 @@ class PlanningMemory(nn.Module):
             _connect_turns(made, walked.here)
         return made
 
-    def plan(self, walked: Walked, *, steps: bool = False) -> Tensor:
+    def plan(self, walked: PlanState, *, steps: bool = False) -> Tensor:
         """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried.
 
         Costs are in nats, or with ``steps`` in actions, so that one whose outcome is known costs 1.
@@ -226,7 +226,7 @@ def connect(
         action: what they did there, int64 ``[B]``.
         here: nodes where they are now, int64 ``[B]``.
         views: at each place.
-        taken: see `Walked`; what was done is not overwritten by a guess. None = it is.
+        taken: see `PlanState`; what was done is not overwritten by a guess. None = it is.
         possible: actions of which something is guessed, bool ``[B, N, 4]``; None = all.
     """
     at, opposite = torch.arange(len(here), device=here.device), torch.tensor(OPPOSITE, device=here.device)[action]
@@ -249,7 +249,7 @@ def connect(
         after[at[chosen], node[chosen], done[chosen]] = outcome[chosen]
 
 
-def _connect_turns(made: Walked, before: Tensor) -> None:
+def _connect_turns(made: PlanState, before: Tensor) -> None:
     """Note what a turn by less than 90 degrees, from nodes int64 ``[B]``, means for the other three views there."""
     turned = ((made.action == RIGHT) | (made.action == LEFT)) & (made.here != before) & ~made.next_view
     at = torch.nonzero(turned)[:, 0]

@@ -23,7 +23,7 @@ SIZE, FIELD_OF_VIEW = 384, 75.0
 """Pixels a side and degrees of the views whose points are matched."""
 
 POINTS = 300
-"""Of each view, the clearest."""
+"""Points of each view that are matched, the clearest."""
 
 ALIKE = 0.82
 """Least cosine of the vectors of two points."""
@@ -74,13 +74,13 @@ def support(here: Tensor, there: Tensor, view: Tensor, views: int) -> Tensor:
     low, high = here[:, 1].tan(), there[:, 1].tan()
     scale = (1 + low**2 + high**2).sqrt()
     sine, cosine = second.sin(), second.cos()
-    found = []
+    counts = []
     for across, ahead in zip(first.sin(), first.cos(), strict=True):
         on_one_plane = ((low * sine - high * across) / scale).abs() < TOLERANCE
         on_one_side = sine * across > -1e-3
         farther_back = (sine * ahead - cosine * across) * across.sign() > -0.01
-        found.append((on_one_plane & on_one_side & farther_back).float() @ of_view)
-    return torch.stack(found)
+        counts.append((on_one_plane & on_one_side & farther_back).float() @ of_view)
+    return torch.stack(counts)
 
 
 def clearness(count: Tensor, arrow: float) -> Tensor:
@@ -111,30 +111,30 @@ def toward(
         arrows: where the arrow of each state points, likewise; nan where there is none.
     """
     turns = yaws.shape[1]
-    found = matcher.describe(views)
-    panoramas = [_points(found, place * turns, of_place) for place, of_place in enumerate(yaws.tolist())]
-    whole = F.normalize(found.whitened.unflatten(0, yaws.shape).sum(1), dim=1)
+    described = matcher.describe(views)
+    panoramas = [_points(described, place * turns, of_place) for place, of_place in enumerate(yaws.tolist())]
+    whole = F.normalize(described.whitened.unflatten(0, yaws.shape).sum(1), dim=1)
     for place, alike in enumerate(whole @ whole.T):
-        made = torch.zeros(2, turns, *yaws.shape)
+        clear = torch.zeros(2, turns, *yaws.shape)
         for other in alike.topk(min(NEIGHBOURS + 1, len(whole))).indices.tolist():
             if other != place:
-                made[:, :, other] = _toward(panoramas[place], panoramas[other], arrows[place].tolist())
-        yield made.flatten(2).half().numpy()
+                clear[:, :, other] = _toward(panoramas[place], panoramas[other], arrows[place].tolist())
+        yield clear.flatten(2).half().numpy()
 
 
-def _points(found: Described, first: int, yaws: Sequence[float]) -> tuple[Tensor, Tensor, Tensor]:
+def _points(described: Described, first: int, yaws: Sequence[float]) -> tuple[Tensor, Tensor, Tensor]:
     """Return directions ``[M, 2]`` and vectors ``[M, C]`` of a panorama's points, and the view of each, ``[M]``."""
-    views = [found.points(first + view) for view in range(len(yaws))]
+    views = [described.points(first + view) for view in range(len(yaws))]
     seen = [directions(positions[:POINTS], yaw) for (positions, _), yaw in zip(views, yaws, strict=True)]
     counts = torch.tensor([len(points) for points in seen])
     of_view = torch.arange(len(yaws)).repeat_interleave(counts)
     return torch.cat(seen), torch.cat([vectors[:POINTS] for _, vectors in views]), of_view
 
 
-def _toward(one: tuple[Tensor, ...], other: tuple[Tensor, ...], arrows: Sequence[float]) -> Tensor:
+def _toward(panorama: tuple[Tensor, ...], other: tuple[Tensor, ...], arrows: Sequence[float]) -> Tensor:
     """Return how clearly each of K arrows of one panorama leads to the K states of another, ``[2, K, K]``."""
     turns = len(arrows)
-    alike = one[1] @ other[1].T
+    alike = panorama[1] @ other[1].T
     here, there = [], []
     for view in range(turns):
         points = torch.nonzero(other[2] == view)[:, 0]
@@ -142,15 +142,15 @@ def _toward(one: tuple[Tensor, ...], other: tuple[Tensor, ...], arrows: Sequence
             first, second = mutual(alike[:, points], ALIKE)
             here.append(first)
             there.append(points[second])
-    made = torch.zeros(2, turns, turns)
+    clear = torch.zeros(2, turns, turns)
     if not here:
-        return made
+        return clear
     first, second = torch.cat(here), torch.cat(there)
-    agree = support(one[0][first], other[0][second], other[2][second], turns)
+    agree = support(panorama[0][first], other[0][second], other[2][second], turns)
     quarter = turns // AROUND
     around = torch.stack([agree.roll(-turn * quarter, 2) for turn in range(AROUND)]).sum(0)
     for arrow, of_arrow in enumerate(arrows):
         if np.isfinite(of_arrow):
             for table, count in enumerate((around, agree)):
-                made[table, arrow] = clearness(count.amax(1), of_arrow)
-    return made
+                clear[table, arrow] = clearness(count.amax(1), of_arrow)
+    return clear

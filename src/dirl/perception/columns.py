@@ -26,20 +26,20 @@ WIDTH, HEIGHT = 80, 60
 """What the network reads, of a field of view of 90 degrees from left to right."""
 
 BEARING = torch.atan((torch.arange(COLUMNS) + 0.5) / COLUMNS * 2 - 1)
-"""Of each column, to the right, radians."""
+"""Direction of each column, to the right, radians."""
 
 UNIT = 100.0
 """Distances in the network are in so many units of the map."""
 
 ROUNDS, TOLERANCE = 4, 0.2
-"""Of weighing matches by how well they agree, and the distance that halves a weight in the last."""
+"""Rounds of weighing matches by how well they agree, and the distance that halves a weight in the last."""
 
 
 LIKE, LEAST = 0.39, 0.15
 """The likeness of frames whose columns match in x places is LIKE * log(x + LEAST)."""
 
 LIKELY, SAMPLE = 60, 40
-"""So many likely frames are compared with what is seen; the others are taken to be as alike as so many of them are."""
+"""Number of likely frames that are compared with a view, and of others, whose median likeness all others get."""
 
 
 class ColumnNet(nn.Module):
@@ -64,7 +64,7 @@ class ColumnNet(nn.Module):
         self.none = nn.Parameter(torch.tensor(3.0))
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Vectors of unit length, ``[N, C, COLUMNS]``, and the logarithm of depths, ``[N, COLUMNS]``.
+        """Return vectors of unit length, ``[N, C, COLUMNS]``, and the logarithm of depths, ``[N, COLUMNS]``.
 
         The images are RGB, float32 ``[N, 3, HEIGHT, WIDTH]``, -0.5 to 0.5.
         """
@@ -96,9 +96,9 @@ class ColumnNet(nn.Module):
             some = np.unique(np.argpartition(-likely, LIKELY)[:LIKELY] // 2 * 2)
         matched = self._matches_with(seen, frames, np.concatenate([usual, some])).amax(2).sum(1).numpy()
         if len(usual):
-            found = np.full(len(frames) + 1, np.median(matched[: len(usual)]))
-            found[some] = found[some + 1] = matched[len(usual) :]  # the frame behind is as alike
-            matched = found[:-1]
+            counts = np.full(len(frames) + 1, np.median(matched[: len(usual)]))
+            counts[some] = counts[some + 1] = matched[len(usual) :]  # the frame behind is as alike
+            matched = counts[:-1]
         return np.asarray(LIKE * np.log(matched + LEAST))
 
     @torch.no_grad()
@@ -128,7 +128,7 @@ class ColumnNet(nn.Module):
 
 
 def load_column_net(file: str | Path = WEIGHTS) -> ColumnNet:
-    """The network with the weights of the package, or of a file."""
+    """Load the network with the weights of the package, or of a file."""
     net = ColumnNet()
     stored = read_tensors(Path(file))
     net.load_state_dict({name: value.float() if value.is_floating_point() else value for name, value in stored.items()})
@@ -136,7 +136,7 @@ def load_column_net(file: str | Path = WEIGHTS) -> ColumnNet:
 
 
 def images_of(frames: NDArray[np.uint8]) -> Tensor:
-    """What `ColumnNet` reads of frames, uint8 ``[N, H, W, 3]``."""
+    """Return `ColumnNet`'s input, float32 ``[N, 3, HEIGHT, WIDTH]``, of frames, uint8 ``[N, H, W, 3]``."""
     images = torch.from_numpy(np.ascontiguousarray(frames)).permute(0, 3, 1, 2).float()
     if images.shape[2:] != (HEIGHT, WIDTH):
         images = F.interpolate(images, (HEIGHT, WIDTH), mode="area")
@@ -144,7 +144,7 @@ def images_of(frames: NDArray[np.uint8]) -> Tensor:
 
 
 def wall_points(depth: Tensor) -> Tensor:
-    """Points of the walls ahead and to the right, ``[N, COLUMNS, 2]``, of the logarithm of depths."""
+    """Return the walls' points, ahead and to the right, ``[N, COLUMNS, 2]``, of the logarithm of depths."""
     distance = depth.clamp(-2.5, 3.0).exp()
     return torch.stack([distance * BEARING.cos(), distance * BEARING.sin()], -1)
 

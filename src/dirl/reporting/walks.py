@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dirl.agent.mapping.frames import Found, FrameMap
-from dirl.agent.mapping.graph import MapError
+from dirl.agent.mapping.image_graph import MapError
 from dirl.scenes.io.files import atomic_path, write_text
 
 MOST_PICTURES = 1200

@@ -22,7 +22,7 @@ from annotated_types import Ge, MinLen
 from dirl.scenes.io.files import MOST_WEIGHTS, atomic_path, checked, read_bytes, unpack_tensors
 from dirl.scenes.scene import SceneError
 
-AGENTS = Path(__file__).parents[1] / "agents"
+PRETRAINED = Path(__file__).parents[1] / "pretrained"
 """Trained agents that come with the package, each in the folder of its name."""
 
 ARCHITECTURE = ("observation", "encoder", "memory", "heads", "policy", "network")
@@ -82,9 +82,9 @@ def training_checkpoints(folder: Path) -> list[Path]:
 
 
 def packaged_agent(name: str | Path) -> Path | None:
-    """Return the folder of an agent in `AGENTS`; None if there is none, or the name is in the present folder."""
+    """Return the folder of an agent in `PRETRAINED`; None if there is none, or the name is in the present folder."""
     path = Path(name)
-    return AGENTS / path if not path.exists() and path.name == str(name) and (AGENTS / path).is_dir() else None
+    return PRETRAINED / path if not path.exists() and path.name == str(name) and (PRETRAINED / path).is_dir() else None
 
 
 def find_checkpoint(path: str | Path) -> Path:
@@ -161,7 +161,7 @@ def load_checkpoint(path: str | Path) -> State:
 
     Args:
         path: a ``.pt`` file, or the folder of a run for its final weights, or the latest that is whole if it is not
-            finished; or the name of an agent in `dirl.runs.checkpoints.AGENTS`.
+            finished; or the name of an agent in `dirl.runs.checkpoints.PRETRAINED`.
 
     Raises:
         RunError: there is none, or it is damaged.

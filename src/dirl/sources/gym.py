@@ -44,10 +44,10 @@ class GymSimulator:
         seed: int = 0,
     ) -> None:
         self.name = env.rpartition(".")[2]
-        made = pydoc.locate(env)
-        if not callable(made):
+        kind = pydoc.locate(env)
+        if not callable(kind):
             raise SceneError(f"env={env}: there is no such class; is its folder on PYTHONPATH?")
-        self.env: Any = made()
+        self.env: Any = kind()
         self.ahead, self.left, self.right = ahead, left, right
         self.step, self.turn, self.image, self.seed = step, turn, image, seed
         self.ways: dict[Cell, dict[int, Cell]] = {(0, 0): {}}  # by heading, of every place that was passed

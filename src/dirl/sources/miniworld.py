@@ -44,9 +44,9 @@ class MiniWorld:
         # It tells about samples of pixels.
         remedy = f"without a display it needs, in Debian: apt install {LIBRARIES}"
         with simulator_errors(f"{self.name}: MiniWorld", remedy), redirect_stdout(StringIO()):
-            made = make(f"MiniWorld-{env}-v0", obs_height=height, obs_width=width, domain_rand=False)
-            made.reset(seed=seed)
-        self._world = made.unwrapped
+            wrapped = make(f"MiniWorld-{env}-v0", obs_height=height, obs_width=width, domain_rand=False)
+            wrapped.reset(seed=seed)
+        self._world = wrapped.unwrapped
         self._agent = self._world.agent
         self._agent.cam_fov_y = field_of_view
         self._heading = round(float(90 - np.degrees(self._agent.dir)) % 360 / 90) * 90.0 % 360
@@ -83,7 +83,7 @@ class MiniWorld:
 
 
 def _registered() -> tuple[Callable[..., Any], list[str]]:
-    """Gymnasium's maker of environments, and the names of MiniWorld's; drawing is set to go without a display."""
+    """Return Gymnasium's maker of environments and the names of MiniWorld's; set drawing to go without a display."""
     try:
         import pyglet
 

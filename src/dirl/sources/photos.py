@@ -46,7 +46,7 @@ TOLERANCE = 1.0
 """Degrees that a heading may be off."""
 
 MAX_HEADINGS = 360
-"""Of a location; nearer ones cannot be told apart."""
+"""Headings of a location at most; nearer ones cannot be told apart."""
 
 PANORAMA_MARK = b"GPano:ProjectionType"
 """What cameras write into the XMP metadata of a panorama."""
@@ -124,23 +124,23 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
 
 
 def _further_shots(states: Sequence[Row], numbers: Mapping[str, range], rows: Sequence[Row]) -> list[Path]:
-    """The images of the shots after the first, shot by shot, each in the order of the states; none may be missing."""
-    found: dict[tuple[int, int], Path] = {}
+    """Return the images of further shots, shot by shot, each in the order of the states; none may be missing."""
+    images: dict[tuple[int, int], Path] = {}
     for row in rows:
         state = _state_at(states, numbers.get(row.location, ()), row.heading)
-        if state is None or (row.shot, state) in found:
+        if state is None or (row.shot, state) in images:
             why = "no first image" if state is None else "two images"
             raise SceneError(f"{row.where}: shot {row.shot}: '{row.location}' has {why} with heading {row.heading:g}")
-        found[row.shot, state] = row.image
-    shots = sorted({shot for shot, _ in found})
+        images[row.shot, state] = row.image
+    shots = sorted({shot for shot, _ in images})
     for shot in shots:
-        for state, one in enumerate(states):
-            if (shot, state) not in found:
+        for state, row in enumerate(states):
+            if (shot, state) not in images:
                 raise SceneError(
-                    f"{one.where}: '{one.location}' has no image of shot {shot} with heading {one.heading:g}; a shot "
+                    f"{row.where}: '{row.location}' has no image of shot {shot} with heading {row.heading:g}; a shot "
                     "is a visit to every place, which sees all headings"
                 )
-    return [found[shot, state] for shot in shots for state in range(len(states))]
+    return [images[shot, state] for shot in shots for state in range(len(states))]
 
 
 def _state_at(states: Sequence[Row], here: Sequence[int], heading: float) -> int | None:
@@ -197,8 +197,8 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
     if os.path.lexists(folder / TABLE):  # a link to nowhere would be written to
         raise SceneError(f"{folder / TABLE}: is there already; delete it to have it drafted anew")
     suffixes = {".jpg", ".jpeg", ".png", ".webp"}
-    found = [file for file in folder.glob("*") if file.suffix.lower() in suffixes and file.is_file()]
-    files = [inside(folder, file.name, f"{folder}: a photo") for file in found]  # as the table's reader asks
+    photos = [file for file in folder.glob("*") if file.suffix.lower() in suffixes and file.is_file()]
+    files = [inside(folder, file.name, f"{folder}: a photo") for file in photos]  # as the table's reader asks
     if not files:
         raise SceneError(f"{folder}: holds no photos (JPEG, PNG or WebP)")
     said = {file: _said_by_exif(file) for file in files}
@@ -246,14 +246,14 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
 
 
 def _said_by_name(file: Path) -> tuple[str, float]:
-    """Place and heading in a name, as ``hall_n`` or ``hall_90``; no place if it says none."""
+    """Return place and heading in a name, as ``hall_n`` or ``hall_90``; no place if it says none."""
     place, _, end = file.stem.replace("-", "_").rpartition("_")
     heading = COMPASS.get(end.lower(), float(end) if re.fullmatch(r"\d{1,3}", end) else None)
     return ("", 0.0) if heading is None or heading >= 360 else (place, heading)
 
 
 def _said_by_exif(file: Path) -> tuple[str, float | None]:
-    """Time, as text that sorts, and degrees clockwise from north, as far as the camera has written them."""
+    """Return the time, as text that sorts, and degrees clockwise from north, as far as the camera wrote them."""
     image = open_photo(file, load=False)
     try:
         exif = image.getexif()

@@ -11,7 +11,7 @@ from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
 QUALITY = 90
-"""Of the views, as WebP."""
+"""Quality of the views, as WebP."""
 
 Cell = tuple[int, int]
 """A place, in steps from the first one."""
@@ -20,7 +20,7 @@ Cell = tuple[int, int]
 def take_scene(
     simulator: Simulator, *, source: str, step: float, turn: float, most: int | None = None
 ) -> tuple[Scene, list[bytes]]:
-    """A scene of the places that can be walked to and fro from where the simulator's agent is, and its views, WebP.
+    """Return a scene of the places that can be walked to and fro from the simulator's agent, and its views, WebP.
 
     Places are on a grid. A move leads to a neighbouring place, by 90-degree headings along the axes and by the diagonal
     ones askew; along other headings, such as those of 30 degrees, moves are blocked, as in the rooms of dirl.
@@ -78,7 +78,7 @@ def take_scene(
 def _explore(
     simulator: Simulator, start: tuple[float, float], step: float, headings: range, most: int | None
 ) -> dict[Cell, dict[float, Cell]]:
-    """Every place found, in order of discovery, with the places that each free heading leads to."""
+    """Return every place, in order of discovery, with the places that each free heading leads to."""
     ways: dict[Cell, dict[float, Cell]] = {(0, 0): {}}
     todo = deque(ways)
     with tqdm(desc="places", unit="", disable=None) as bar:

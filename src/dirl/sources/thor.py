@@ -15,7 +15,7 @@ class Event(Protocol):
     frame: NDArray[np.uint8]
     """RGB ``[H, W, 3]``."""
     metadata: dict[str, Any]
-    """Of it are read ``lastActionSuccess``, ``errorMessage`` and ``agent``: ``position`` and ``rotation``, x, y, z."""
+    """Read are ``lastActionSuccess``, ``errorMessage`` and ``agent``: ``position`` and ``rotation``, x, y, z."""
 
 
 class Controller(Protocol):

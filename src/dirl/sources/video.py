@@ -31,7 +31,7 @@ SIDE = 480
 """Pixels of the longer side of frames as they are compared."""
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
-"""Of the images of a folder."""
+"""Suffixes of the images of a folder."""
 
 OTHER_PICTURES = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".jp2", ".jxl", ".pgm", ".ppm")
 """Suffixes of pictures that are not read: a recording in which they were left out would have holes."""
@@ -51,7 +51,7 @@ ENCODINGS = {
     "bgra8": ("RGB", "BGRX"),
     "mono8": ("L", "L"),
 }
-"""Of raw images of a bag: Pillow's mode, and how the bytes lie."""
+"""For raw images of a bag: Pillow's mode, and how the bytes lie."""
 
 STAMP = re.compile(r"\] n: *\d+ pts:.*? pts_time:([-\d.]+)")
 
@@ -190,7 +190,7 @@ def _small(source: str | Path, image: Image.Image) -> NDArray[np.uint8]:
 
 
 def _arguments(file: Path) -> list[str]:
-    """Ffmpeg with a video as input, which may open that file alone."""
+    """Return the command of ffmpeg with a video as input, which may open that file alone."""
     try:
         import imageio_ffmpeg
     except ImportError:
@@ -201,11 +201,11 @@ def _arguments(file: Path) -> list[str]:
 
 
 def _video_duration(file: Path) -> float:
-    """Seconds that a video says it takes."""
-    found = subprocess.run(_arguments(file), capture_output=True, check=False).stderr.decode(errors="replace")
-    duration = re.search(r"Duration: (\d+):(\d+):([\d.]+)", found)
-    if "Video:" not in found:
-        reason = next((line for line in MATTERS.findall(found) if "output file" not in line), "no video in it")
+    """Return the seconds that a video says it takes."""
+    log = subprocess.run(_arguments(file), capture_output=True, check=False).stderr.decode(errors="replace")
+    duration = re.search(r"Duration: (\d+):(\d+):([\d.]+)", log)
+    if "Video:" not in log:
+        reason = next((line for line in MATTERS.findall(log) if "output file" not in line), "no video in it")
         raise SceneError(f"{file}: is no video that is read ({reason.strip()[:120]})")
     if duration is None:
         return 0.0
@@ -214,27 +214,27 @@ def _video_duration(file: Path) -> float:
 
 
 def _video_frames(file: Path, every: float) -> Iterator[Frame]:
-    """Frames by their time stamps: the first one, and each that is ``every`` seconds or more after the last."""
+    """Yield frames by their time stamps: the first one, and each that is ``every`` seconds or more after the last."""
     chosen = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t\\,{0.999 * every:.6f})'"
     scaled = f"scale='if(gt(iw,ih),min({SIDE},iw),-2)':'if(gt(iw,ih),-2,min({SIDE},ih))':flags=area"
     output = ["-map", "0:v:0", "-vf", f"{chosen},{scaled},showinfo", "-fps_mode", "passthrough"]
     output += ["-f", "image2pipe", "-c:v", "ppm", "pipe:1"]
     with (
         tempfile.NamedTemporaryFile("wb") as log,
-        open(log.name, errors="replace") as told,
+        open(log.name, errors="replace") as messages,
         _running([*_arguments(file), *output], stderr=log) as (process, pictures),
     ):
         stamps: list[float] = []
         text, number = "", 0
         while image := _read_ppm(pictures):
             # A frame is told of before it is written, so that its line is there by now.
-            text += told.read()
+            text += messages.read()
             stamps += [float(stamp) for stamp in STAMP.findall(text)]
             text = STAMP.sub("", text)
             yield Frame(np.asarray(image), stamps[number] - stamps[0])
             number += 1
         process.wait()
-        if wrong := MATTERS.findall(text + told.read()):
+        if wrong := MATTERS.findall(text + messages.read()):
             raise SceneError(f"{file}: is damaged after {number} frames ({wrong[0].strip()[:120]})")
 
 
@@ -251,7 +251,7 @@ def _read_ppm(stream: IO[bytes]) -> Image.Image | None:
 def write_bag_frames(
     size: int, seconds: float, source: str, every: float, topic: str | None, odometry: str | None
 ) -> None:
-    """In a process of its own: write what is in a bag of so many bytes to the standard output.
+    """Write what is in a bag of so many bytes to the standard output; runs in a process of its own.
 
     It is a line of JSON for each frame, with its pixels after it; a text is an error.
     """
@@ -298,18 +298,18 @@ def _bag_frames(source: Path, every: float, topic: str | None, odometry_topic: s
 
 
 def _connections(reader: "AnyReader", option: str, topic: str | None, kinds: tuple[str, ...]) -> "list[Connection]":
-    """Connections of one topic of these kinds of messages; an empty list if there is none and none was asked for."""
-    found = [one for one in reader.connections if one.msgtype.rpartition("/")[2] in kinds]
-    names = sorted({one.topic for one in found})
+    """Return connections of one topic of these kinds of messages; none if there is no such topic nor one asked for."""
+    connections = [connection for connection in reader.connections if connection.msgtype.rpartition("/")[2] in kinds]
+    names = sorted({connection.topic for connection in connections})
     if topic is None and len(names) > 1:
         raise SceneError(f"choose {option}= of {', '.join(names)}")
     if topic is not None and topic not in names:
         raise SceneError(f"has no {option} {topic} of {' or '.join(kinds)}; it has {_topics(reader)}")
-    return [one for one in found if topic in (None, one.topic)]
+    return [connection for connection in connections if topic in (None, connection.topic)]
 
 
 def _topics(reader: "AnyReader") -> str:
-    return ", ".join(sorted(f"{one.topic} ({one.msgtype})" for one in reader.connections)) or "none"
+    return ", ".join(sorted(f"{each.topic} ({each.msgtype})" for each in reader.connections)) or "none"
 
 
 def _pose(message: Any) -> tuple[float, float, float]:

@@ -16,7 +16,7 @@ from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 
 UNITS = 32
-"""Of a map for a metre."""
+"""Units of a map for a metre."""
 
 PUSH = 50.0
 """The strongest push forward that Doom takes; each tic it adds 1/32 of that to the speed, in units."""

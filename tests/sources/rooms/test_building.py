@@ -13,7 +13,7 @@ from closet import closet
 
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import wrap
-from dirl.sources.tours.moves import tour_scene
+from dirl.sources.tours.conversion import tour_scene
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from dirl.sources.rooms import built_in_rooms, describe_room, description_text, 
 from dirl.sources.rooms.description import parse_description
 from dirl.sources.rooms.layout import assemble
 from dirl.sources.rooms.materials import paint
-from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.walkable import walk
 
 BAD = [
     ('name = "closet"', "", "name: is missing"),

@@ -4,12 +4,12 @@ import pytest
 
 from dirl.scenes.catalogue import split_of
 from dirl.sources.rooms import check_room
-from dirl.sources.rooms.build import scene_of
 from dirl.sources.rooms.description import description_text, parse_description
-from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.dump import scene_of
 from dirl.sources.rooms.sampling import KINDS, sample_room
 from dirl.sources.rooms.sampling.sample import draw_room
 from dirl.sources.rooms.sampling.splits import EVERYTHING, HELD_OUT, TEST, TRAIN, repertoire_of
+from dirl.sources.rooms.walkable import walk
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -11,9 +11,9 @@ from tours import grid_truth, tour_of, turned
 
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import LEAD, align, wrap
-from dirl.sources.tours.columns import Seen, columns, compare
-from dirl.sources.tours.images import Equirectangular
-from dirl.sources.tours.moves import tour_scene
+from dirl.sources.tours.conversion import tour_scene
+from dirl.sources.tours.pixels import Equirectangular
+from dirl.sources.tours.rotation import Seen, columns, compare
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ from tours import WRITERS, Camera360, room_truth, turned, write_krpano, write_pa
 
 from dirl.scenes.errors import SceneError
 from dirl.scenes.views import decode
-from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.walkable import walk
 from dirl.sources.tours import read_tour
-from dirl.sources.tours.images import cut_views, read_panorama, six_images
-from dirl.sources.tours.moves import tour_scene
+from dirl.sources.tours.conversion import tour_scene
+from dirl.sources.tours.pixels import cut_views, read_panorama, six_images
 
 KINDS = {
     **WRITERS,

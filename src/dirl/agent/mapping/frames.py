@@ -21,7 +21,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from tqdm import tqdm
 
-from dirl.agent.mapping.graph import MapError
+from dirl.agent.mapping.image_graph import MapError
 from dirl.perception.columns import load_column_net
 from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Motion, Scale
 from dirl.scenes.io.files import atomic_path, read_arrays

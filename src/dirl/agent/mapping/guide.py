@@ -16,7 +16,7 @@ from PIL import Image, ImageOps
 from scipy.sparse.csgraph import dijkstra
 
 from dirl.agent.mapping.frames import FrameMap, load_matcher
-from dirl.agent.mapping.graph import MapError
+from dirl.agent.mapping.image_graph import MapError
 from dirl.perception.matching import Described, Fit, FrameMatcher, Motion
 
 MOVES = (0.08, 0.15, 0.25, 0.2, 0.15, 0.1, 0.07)

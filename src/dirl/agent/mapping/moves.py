@@ -36,7 +36,7 @@ class Move(NamedTuple):
 
 
 def moves_along(graph: FrameMap, matcher: FrameMatcher, path: Sequence[int]) -> list[Move]:
-    """Turns and ways ahead along a path of frames.
+    """Return turns and ways ahead along a path of frames.
 
     Turns are measured between successive frames. Where the path follows a recording back in time, one walks it the
     other way round.
@@ -64,5 +64,5 @@ def moves_along(graph: FrameMap, matcher: FrameMatcher, path: Sequence[int]) -> 
 
 
 def _told(turn: float, ahead: float, frame: int) -> list[Move]:
-    """A way ahead and the turn at its end."""
+    """Return a way ahead and the turn at its end."""
     return [Move(0.0, ahead, frame)] * (ahead > 0) + [Move(turn, 0.0, frame)] * (turn != 0)

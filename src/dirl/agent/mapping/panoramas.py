@@ -15,7 +15,7 @@ UNDOES = {AHEAD: BACK, BACK: AHEAD, RIGHT: LEFT, LEFT: RIGHT}
 
 
 def turned(node: int, quarters: int) -> int:
-    """The node of the same panorama some quarters further to the right."""
+    """Return the node of the same panorama some quarters further to the right."""
     return node - node % VIEWS + (node + quarters) % VIEWS
 
 
@@ -34,7 +34,7 @@ class Panoramas:
     def __init__(self, turns: int, recogniser: Recogniser | None = None) -> None:
         self.turns, self.recogniser = turns, recogniser or NCC()
         if isinstance(recogniser, nn.Module) and any(
-            one.device.type != "cpu" for one in recogniser.state_dict().values()
+            weights.device.type != "cpu" for weights in recogniser.state_dict().values()
         ):
             self.recogniser = copy.deepcopy(recogniser).cpu()  # what a map keeps is on the CPU, wherever the policy is
         self.moves: list[list[int]] = []
@@ -47,7 +47,7 @@ class Panoramas:
         self._views: list[Tensor] = []
 
     def __len__(self) -> int:
-        """The number of nodes."""
+        """Return the number of nodes."""
         return len(self.moves)
 
     @property
@@ -57,7 +57,7 @@ class Panoramas:
 
     @torch.no_grad()
     def scores(self, views: Tensor) -> Tensor:
-        """The recogniser's scores of observations with every node, float32 ``[..., N]``.
+        """Return the recogniser's scores of observations with every node, float32 ``[..., N]``.
 
         Args:
             views: described, float32 ``[..., 4, F]``; or of one photo, ``[..., 1, F]``, which is compared with the view
@@ -65,7 +65,7 @@ class Panoramas:
         """
         views = views.detach().float().cpu()
         if views.ndim > 2:  # one by one: the pairs of many looks with many nodes take much space
-            return torch.stack([self.scores(one) for one in views])
+            return torch.stack([self.scores(look) for look in views])
         if views.shape[-2] == 1:
             each = torch.stack([self.views.roll(-k, -2) for k in range(VIEWS)], 1).flatten(0, 1)
             return self.recogniser.scores(each, views[None]).flatten()
@@ -73,11 +73,11 @@ class Panoramas:
         return self.recogniser.scores(self.views, facing).flatten()
 
     def plan(self, goals: Sequence[int]) -> Tensor:
-        """The fewest actions from each node to each goal, int32 ``[N, G]``, -1 where no path is known."""
+        """Return the fewest actions from each node to each goal, int32 ``[N, G]``, -1 where no path is known."""
         return torch.from_numpy(shortest_distances(torch.tensor(self.moves).numpy(), torch.tensor(goals).numpy()))
 
     def next_action(self, node: int, distances: Tensor) -> int | None:
-        """The first action of a shortest path from a node; None at the goal, and where no path is known.
+        """Return the first action of a shortest path from a node; None at the goal, and where no path is known.
 
         The distances are a column of `plan`, int32 ``[N]``.
         """
@@ -87,7 +87,7 @@ class Panoramas:
         return None
 
     def add_panorama(self, views: Tensor) -> int:
-        """A new panorama with these views, float32 ``[4, D]``; the node that faces ahead."""
+        """Add a panorama with these views, float32 ``[4, D]``; return its node that faces ahead."""
         node = len(self.moves)
         self._views.append(views.detach().float().cpu().clone())
         for k in range(VIEWS):
@@ -114,14 +114,14 @@ class Panoramas:
         del self._views[first // VIEWS :]
         self.changes += 1
 
-    def place(self, node: int) -> set[int]:
-        """The panoramas that are known to be at the place of a node, because turns lead to them."""
-        found, new = set[int](), {node // VIEWS}
+    def place(self, start: int) -> set[int]:
+        """Return the panoramas that are known to be at the place of a node, because turns lead to them."""
+        known, new = set[int](), {start // VIEWS}
         while new:
-            found |= new
+            known |= new
             nodes = [VIEWS * panorama + k for panorama in new for k in range(VIEWS)]
-            new = {self.moves[one][turn] // VIEWS for one in nodes for turn in (RIGHT, LEFT)} - found - {UNKNOWN}
-        return found
+            new = {self.moves[node][turn] // VIEWS for node in nodes for turn in (RIGHT, LEFT)} - known - {UNKNOWN}
+        return known
 
     def record(self, before: int | None, action: int | None, node: int) -> None:
         """Remember what an action did, and infer what follows: moves can be undone, and walked backwards."""
@@ -140,7 +140,7 @@ class Panoramas:
             self._infer_turns(*((before, node) if action == RIGHT else (node, before)))
 
     def _infer_turns(self, left: int, right: int) -> None:
-        """What follows of a known turn to the right: that from the other headings, and the last one of a quarter."""
+        """Infer from a known turn to the right those from the other headings, and the last one of a quarter."""
         for k in range(VIEWS):
             self.link(turned(left, k), RIGHT, turned(right, k), observed=False)
             self.link(turned(right, k), LEFT, turned(left, k), observed=False)

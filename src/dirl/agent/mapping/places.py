@@ -35,12 +35,12 @@ class PlaceMap:
     """What one walk of T visits found out about a place with P places where the walker can stand."""
 
     places: Places
-    """Of one agent; see `dirl.models.localising.Places`."""
+    """The places as one agent knows them."""
     seen: Tensor
     """The visits, by view ids or by described views, ``[1, T, V, ...]``."""
 
     def __len__(self) -> int:
-        """The number of nodes, K P."""
+        """Return the number of nodes, K P."""
         return self.places.cost.shape[1]
 
     @property
@@ -49,9 +49,9 @@ class PlaceMap:
         return self.places.turns
 
     def begin(self, goal: Tensor) -> Places:
-        """What agents know that walked here once and now begin an episode, at a place that they do not know.
+        """Return the state of agents that walked here once and begin an episode at a place that they do not know.
 
-        ``goal`` is the log odds that their goals are seen at each visit of the walk, facing each view, ``[B, T, V]``.
+        ``goal``: the log odds that their goals are seen at each visit of the walk, facing each view, ``[B, T, V]``.
         """
         agents, device = len(goal), goal.device
         every = torch.zeros(agents, dtype=torch.int64, device=self.places.action.device)
@@ -108,7 +108,7 @@ class ParticleMapper:
 
     @torch.no_grad()
     def see(self, visit: Tensor, action: int | None = None) -> int:
-        """Take in what is seen around the walker: the node where it most probably is.
+        """Take in what is seen around the walker and return the node where it most probably is.
 
         Args:
             visit: the views clockwise from the one ahead, four or those of all headings, ``[V, ...]``, in the form of
@@ -142,7 +142,7 @@ class ParticleMapper:
         return int(self.places.node[self._leading(), -1])
 
     def _leading(self) -> Tensor:
-        """The particle whose map counts, int64 ``[]``.
+        """Return the particle whose map counts, int64 ``[]``.
 
         A weight does not tell what was sampled just now, however improbable. In a tour one such map in front is enough
         to lose the way, so there all decisions count together. In rooms at 10 cm maps are worse by that.
@@ -150,7 +150,7 @@ class ParticleMapper:
         return (self.weight if self.arrows is None else self.decided).argmax()
 
     def frontier_action(self) -> int | None:
-        """The first action of a shortest path to one with an unknown outcome; None without any, or before a visit.
+        """Return the first action of a shortest path to an unknown outcome; None without any, or before a visit.
 
         Where arrows are seen, passages of one way exist: once nothing is unknown, guesses are put to the test.
         """
@@ -164,13 +164,13 @@ class ParticleMapper:
             tables.append(after.masked_fill(moves & ~best.taken, -1))
         again = again_costs(best.cost, self.memory.repeated, self.memory.turn, steps=False)
         for outcome in tables:
-            found = cheapest(torch.where(outcome < 0, best.cost, again), outcome, nowhere, best.here)
-            if found.isfinite().any():
-                return int(found.argmin())
+            costs = cheapest(torch.where(outcome < 0, best.cost, again), outcome, nowhere, best.here)
+            if costs.isfinite().any():
+                return int(costs.argmin())
         return None
 
     def map(self) -> PlaceMap:
-        """The most probable map; in a tour without doubles of places."""
+        """Return the most probable map; in a tour without doubles of places."""
         best = self.best
         assert best is not None
         assert self.seen is not None
@@ -224,15 +224,15 @@ def contrary(places: Places) -> Tensor:
     turns, moves = places.turns, torch.tensor([AHEAD, BACK])
     arrows = places.cost[0][:, moves].isfinite().unflatten(0, (-1, turns))  # [P, K, 2]
     beyond = torch.where(places.taken[0], places.after[0] // turns, -1)[:, moves].unflatten(0, (-1, turns))
-    found = torch.empty(len(arrows), len(arrows), turns, dtype=torch.bool)
+    ruled_out = torch.empty(len(arrows), len(arrows), turns, dtype=torch.bool)
     for turned in range(turns):
         there, target = arrows.roll(-turned, 1), beyond.roll(-turned, 1)
         apart = (beyond[:, None] >= 0) & (target >= 0) & (beyond[:, None] != target)
-        found[..., turned] = ((arrows[:, None] != there) | apart).flatten(2).any(2)
+        ruled_out[..., turned] = ((arrows[:, None] != there) | apart).flatten(2).any(2)
     place = torch.arange(len(arrows))
     origin, led = place[:, None, None].expand_as(beyond)[beyond >= 0], beyond[beyond >= 0]
-    found[origin, led] = found[led, origin] = found[place, place] = True
-    return found
+    ruled_out[origin, led] = ruled_out[led, origin] = ruled_out[place, place] = True
+    return ruled_out
 
 
 def merged(places: Places, double: int, kept: int, turned: int) -> Places:
@@ -253,7 +253,7 @@ def merged(places: Places, double: int, kept: int, turned: int) -> Places:
 
 
 def resampled(probability: Tensor, generator: torch.Generator) -> Tensor:
-    """Indices of particles sampled by their probabilities, float32 ``[K]``, with one random number for all of them."""
+    """Return particles sampled by their probabilities, float32 ``[K]``, with one random number for all of them."""
     count = len(probability)
     at = (torch.arange(count) + torch.rand(1, generator=generator)) / count
     return torch.searchsorted(probability.cumsum(0), at).clamp(max=count - 1)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from dirl.agent.images import check_turns
-from dirl.agent.mapping.graph import ImageGraph, MapError
+from dirl.agent.mapping.image_graph import ImageGraph, MapError
 from dirl.agent.mapping.panoramas import UNKNOWN, VIEWS
 from dirl.agent.mapping.places import PlaceMap
 from dirl.models.localising import Places
@@ -122,14 +122,14 @@ def _image_graph(facts: dict[str, Any], tensors: dict[str, Tensor], recogniser: 
             raise ValueError(f"{name}: {tensors[name].dtype} {list(tensors[name].shape)} for {panoramas} panoramas")
     if int(moves.min()) < UNKNOWN or int(moves.max()) >= len(moves):
         raise ValueError("a move leads to a node that is not there")
-    for one in views:
-        graph.add_panorama(one)
+    for panorama in views:
+        graph.add_panorama(panorama)
     graph.moves, graph.observed = moves.tolist(), observed.tolist()
     return graph
 
 
 def _places(tensors: dict[str, Tensor], turns: int) -> PlaceMap:
-    """A map of T visits of P places, whose tensors have the shapes that `dirl.models.localising.Places` says."""
+    """Return a map of T visits of P places, whose tensors have the shapes that `dirl.models.localising.Places` says."""
     seen, (visits, count) = tensors["seen"], (tensors["node"].shape[1], tensors["heading"].shape[1])
     nodes, views = turns * count, tensors["goal"].shape[-1]
     check_turns(turns)

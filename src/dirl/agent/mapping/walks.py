@@ -17,13 +17,13 @@ class Mapper(Protocol):
         """Take in what is seen ahead, right, back and left, ``[4, ...]``, after an action."""
 
     def frontier_action(self) -> int | None:
-        """After which most is learned soonest; None if nothing in reach is unknown."""
+        """Return the action that leads soonest to something unknown; None if nothing in reach is unknown."""
 
 
 def explore(
     scene: Scene, graph: Mapper, start: int, steps: int, look: Callable[[int], Tensor] | None = None
 ) -> list[int]:
-    """The states that are passed on a walk that fills an empty map; it ends early where nothing is left to be learned.
+    """Fill an empty map by a walk; return the states passed. It ends early where nothing is left to be learned.
 
     The walker knows what it sees and does, never the scene's graph or the numbers of states. ``look`` tells what is
     seen ahead, right, back and left of a state, in the form that the map takes, ``[4, ...]``; the scene's features,
@@ -42,6 +42,6 @@ def explore(
 
 
 def step(moves: IntArray, state: int, action: int) -> int:
-    """The state after an action; a blocked one leaves it."""
+    """Return the state after an action; a blocked one leaves it as it was."""
     there = int(moves[state, action])
     return state if there < 0 else there

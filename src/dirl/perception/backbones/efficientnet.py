@@ -23,7 +23,7 @@ SIZE = (224, 224)
 """Height and width that it was trained with, pixels."""
 
 MEAN, STD = 127.0, 128.0
-"""Of pixels, as it was trained."""
+"""Mean and deviation by which pixels are normalised, as in its training."""
 
 STAGES = ((1, 1), (2, 2), (2, 2), (3, 2), (3, 1), (4, 2), (1, 1))
 """Blocks of a stage, and the stride of its first."""
@@ -58,7 +58,7 @@ class Convolution(nn.Module):
     bias: Tensor
 
     def forward(self, x: Tensor) -> Tensor:
-        """A map, ``[B, in, H, W]``, to one of ``[B, out, H / stride, W / stride]``; H and W are even."""
+        """Convolve a map, ``[B, in, H, W]``, with H and W even, to ``[B, out, H / stride, W / stride]``."""
         total = self.weight.shape[-1] - self.stride
         before, after = max(total, 0) // 2, max(total, 0) - max(total, 0) // 2
         padding = before if before == after else 0
@@ -78,7 +78,7 @@ class Block(nn.Module):
         self.project = Convolution(state, f"{name}._project_conv", f"{name}._bn2")
 
     def forward(self, x: Tensor) -> Tensor:
-        """A map, ``[B, in, H, W]``, to one of ``[B, out, H / stride, W / stride]``."""
+        """Transform a map, ``[B, in, H, W]``, to ``[B, out, H / stride, W / stride]``."""
         wide = x if self.expand is None else F.relu6(self.expand(x))
         out: Tensor = self.project(F.relu6(self.depthwise(wide)))
         return out + x if out.shape == x.shape else out
@@ -96,16 +96,16 @@ class EfficientNetLite0(nn.Module):
         self.head = Convolution(state, "_conv_head", "_bn1")
 
     def inner_stage(self, images: Tensor) -> Tensor:
-        """Normalised images, ``[B, 3, H, W]``, to the fifth stage's map, ``[B, 112, H / 16, W / 16]``."""
+        """Return the fifth stage's map, ``[B, 112, H / 16, W / 16]``, of normalised images, ``[B, 3, H, W]``."""
         return self.first(F.relu6(self.stem(images)))
 
     def pool(self, inner_stage: Tensor) -> Tensor:
-        """From the fifth stage's map to features, ``[B, 1280]``."""
+        """Return features, ``[B, 1280]``, of the fifth stage's map."""
         return F.relu6(self.head(self.last(inner_stage))).mean((2, 3))
 
 
 def lite0_weights() -> dict[str, Tensor]:
-    """The weights that `EfficientNetLite0` reads, from their package.
+    """Load the weights of `EfficientNetLite0` from their package.
 
     Raises:
         EncoderError: it is not installed.
@@ -122,7 +122,7 @@ def lite0_weights() -> dict[str, Tensor]:
 
 
 def lite0_encoder(device: str | torch.device = "cpu", *, cells: tuple[int, int] | None = None) -> ViewEncoder:
-    """EfficientNet-Lite0 with the weights of its package; see `dirl.perception.backbones.load_encoder`."""
+    """Load EfficientNet-Lite0 with the weights of its package; see `dirl.perception.backbones.load_encoder`."""
     parameters = lite0_weights()
     attributes = {
         "extractor": "EfficientNet-Lite0, global average pool",

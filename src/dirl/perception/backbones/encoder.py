@@ -38,7 +38,7 @@ class ViewEncoder:
         return extractor_text(self.attributes)
 
     def __call__(self, views: Tensor) -> Tensor:
-        """Features, float32 ``[B, D]``, of RGB views, uint8 ``[B, H, W, 3]``."""
+        """Return features, float32 ``[B, D]``, of RGB views, uint8 ``[B, H, W, 3]``."""
         return self.forward(views)
 
 
@@ -51,7 +51,7 @@ def staged_encoder(
     *,
     few: int | None = None,
 ) -> ViewEncoder:
-    """An encoder whose features and patches come from one map: ``inner`` makes it, ``pool`` and ``projection`` use it.
+    """Make an encoder: ``inner`` gives a map, ``pool`` its features and ``projection`` its patches.
 
     At most ``few`` views go through the network at a time; without a projection there are no patches. It can be
     pickled if all of these can.
@@ -87,7 +87,7 @@ class _Staged:
 
 
 def weights_hash(parameters: Mapping[str, Tensor]) -> str:
-    """``sha256:`` and 64 digits, over the names, shapes and values (as float32) of a state_dict, in order of names."""
+    """Return ``sha256:`` and 64 digits over a state_dict's names, shapes and values (as float32), in order of names."""
     digest = hashlib.sha256()
     for name in sorted(parameters):
         values = parameters[name].detach().cpu()

@@ -31,9 +31,9 @@ PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 def load_projection(
     device: str | torch.device = "cpu", file: Path = PROJECTION, cells: tuple[int, int] = CELLS
 ) -> Callable[[Tensor], Tensor]:
-    """A shipped projection: an inner stage's map, ``[B, C, H, W]`` (C = 1024), to patches, float32 ``[B, cells, 96]``.
+    """Load a shipped projection of an inner stage's map, ``[B, C, H, W]``, to patches, float32 ``[B, cells, 96]``.
 
-    Cells are numbered row by row, from the upper left.
+    C is 1024 for the ResNet-50. Cells are numbered row by row, from the upper left.
     """
     stored = torch.load(file, map_location=device, weights_only=True)
     mean, components = stored["mean"].float(), stored["components"].float()
@@ -57,7 +57,7 @@ def cells_of(stage: Tensor, cells: tuple[int, int] = CELLS) -> Tensor:
 
 
 def _shares(length: int, parts: int) -> Tensor:
-    """How much each of ``length`` pixels contributes to the mean of each of the equal parts, ``[parts, length]``."""
+    """Return how much each of ``length`` pixels contributes to the mean of each equal part, ``[parts, length]``."""
     edges, pixels = torch.arange(parts + 1) * length / parts, torch.arange(length)
     overlap = torch.minimum(edges[1:, None], pixels + 1) - torch.maximum(edges[:-1, None], pixels)
     return overlap.clamp(min=0) * parts / length
@@ -69,7 +69,7 @@ def are_fine(patches: Tensor) -> bool:
 
 
 def coarse(patches: Tensor) -> Tensor:
-    """Patches of `CELLS`: the means of fine ones, ``[..., cells, channels]``; others as they are."""
+    """Return patches of `CELLS`, ``[..., cells, channels]``: the means of fine ones; others as they are."""
     if not are_fine(patches):
         return patches
     (rows, columns), (high, wide) = CELLS, (fine // few for fine, few in zip(FINE, CELLS, strict=True))
@@ -78,7 +78,7 @@ def coarse(patches: Tensor) -> Tensor:
 
 
 def patch_attributes() -> dict[str, str]:
-    """The attributes that a dump stores with patches of the shipped ResNet-50."""
+    """Return the attributes that a dump stores with patches of the shipped ResNet-50."""
     height, width = PATCH_SIZE
     return {
         "extractor": f"ResNet-50 as shipped, third stage, views at {height}x{width}, {CELLS[0]}x{CELLS[1]} cells",

@@ -5,7 +5,7 @@ from torch import Tensor
 
 
 def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> tuple[Tensor, Tensor]:
-    """The first principal components of vectors, by which they are projected: ``(vectors - mean) @ axes``.
+    """Return the mean and first principal components of vectors, to project by ``(vectors - mean) @ axes``.
 
     Args:
         vectors: ``[N, D]``.

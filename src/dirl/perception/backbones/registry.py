@@ -59,7 +59,7 @@ class ImageEncoder(Protocol):
 
 
 class Encoded(NamedTuple):
-    """Of N views."""
+    """What an encoder gives for N views."""
 
     features: NDArray[np.float32]
     """``[N, D]``."""
@@ -74,7 +74,7 @@ def load_encoder(
     patches: bool = False,
     fine_patches: bool = False,
 ) -> ViewEncoder:
-    """The encoder that a user names.
+    """Load the encoder that a user names.
 
     Args:
         name: ``resnet50``, which comes with the package and made the features of the built-in rooms;
@@ -110,36 +110,36 @@ def load_encoder(
 
 
 def _own_encoder(file: Path) -> ViewEncoder:
-    """The encoder whose class a YAML file of the user's names, see `ImageEncoder`; tried on a grey view.
+    """Make the encoder whose class a user's YAML file names, see `ImageEncoder`, and try it on a grey view.
 
     Raises:
         ConfigError: it cannot be made, does not describe itself, or gives something else than features.
     """
-    made = make("image_encoder", own_options("encoder", file))
-    if not isinstance(getattr(made, "extractor", None), str) or not callable(made):
-        raise EncoderError(f"encoder={file}: {type(made).__name__} has no text extractor, or cannot be called")
+    encoder = make("image_encoder", own_options("encoder", file))
+    if not isinstance(getattr(encoder, "extractor", None), str) or not callable(encoder):
+        raise EncoderError(f"encoder={file}: {type(encoder).__name__} has no text extractor, or cannot be called")
 
     def forward(views: Tensor) -> Tensor:
-        with torch.inference_mode(), tried(f"encoder={file}", made):
-            features = made(views)
+        with torch.inference_mode(), tried(f"encoder={file}", encoder):
+            features = encoder(views)
             if not isinstance(features, Tensor) or features.ndim != 2 or len(features) != len(views):
                 shape = list(features.shape) if isinstance(features, Tensor) else type(features).__name__
                 raise TypeError(f"gave {shape} for views {list(views.shape)}; expected features [B, D]")
             return features.float()
 
     forward(torch.full((1, 64, 64, 3), 127, dtype=torch.uint8))
-    return ViewEncoder(forward, {"extractor": made.extractor})
+    return ViewEncoder(forward, {"extractor": encoder.extractor})
 
 
 def packaged_encoder(extractor: str) -> str | None:
-    """The name of the encoder of the package that is described so (`dirl.scenes.Scene.extractor`); None if none is."""
+    """Return the name of the package's encoder with this description (`Scene.extractor`); None if none has it."""
     families = {"EfficientNet-Lite0": [LITE], "ResNet-50": [*SHIPPED]}
     names = next((names for family, names in families.items() if extractor.startswith(family)), [])
     return next((name for name in names if load_encoder(name).extractor == extractor), None)
 
 
 def encode_scene(scene: Scene, encoder: ViewEncoder) -> Encoded:
-    """The features of every view of a scene, and patches if the encoder gives them.
+    """Return the features of every view of a scene, and patches if the encoder gives them.
 
     Raises:
         EncoderError: the scene has no views, or one cannot be encoded.
@@ -152,7 +152,7 @@ def encode_scene(scene: Scene, encoder: ViewEncoder) -> Encoded:
 
 
 def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
-    """The scene with features of an encoder of the package, from its views; as it is if that is not possible.
+    """Encode a scene's views by an encoder of the package; return the scene as it is if that is not possible.
 
     ``extractor`` describes the encoder, see `Scene.extractor`; ``patches`` says whether they are needed too. The result
     is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can be written.
@@ -167,9 +167,9 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
         kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
         with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew
-            found = read_dump(kept)
-            if found.extractor == extractor and len(found) == len(scene) and (found.patches is not None or not patches):
-                return replace(scene, features=found.features, patches=found.patches, along=along, extractor=extractor)
+            dump = read_dump(kept)
+            if dump.extractor == extractor and len(dump) == len(scene) and (dump.patches is not None or not patches):
+                return replace(scene, features=dump.features, patches=dump.patches, along=along, extractor=extractor)
     name = packaged_encoder(extractor)  # compares weights, which takes longer than reading what was kept
     if name is None:
         return scene
@@ -178,9 +178,9 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     fine = patches and name == LITE  # single photos are recognised by them
     encoder = load_encoder(name, patches=patches, fine_patches=fine)
     features, parts = encode_scene(scene, encoder)
-    made = replace(scene, features=features, patches=parts, along=along, extractor=extractor)
+    encoded = replace(scene, features=features, patches=parts, along=along, extractor=extractor)
     if kept is None:
-        return made
+        return encoded
     try:
         if home.startswith("~"):
             raise SceneError("this user has no home directory; XDG_CACHE_HOME names a folder")
@@ -188,13 +188,13 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         write_dump(kept, plain, feature_attributes=encoder.attributes, patch_attributes=encoder.patch_attributes)
     except (SceneError, OSError) as error:
         print(f"not kept: {error}", flush=True)
-    return made
+    return encoded
 
 
 def encode_all(
     encoder: ViewEncoder, views: Iterable[NDArray[np.uint8]], count: int, origin: str, *, progress: bool = True
 ) -> Encoded:
-    """The features of views, and patches if the encoder gives them.
+    """Return the features of views, and patches if the encoder gives them.
 
     Args:
         encoder: whose.
@@ -219,11 +219,11 @@ def encode_all(
                     raise EncoderError(f"{origin}: state {state} has a view {view.shape}, state 0 one {shape}")
             images = torch.from_numpy(np.stack(batch))
             if encoder.forward_patches is None:
-                found = encoder(images)
+                pooled = encoder(images)
             else:
-                found, cells = encoder.forward_patches(images)
+                pooled, cells = encoder.forward_patches(images)
                 patches.append(cells.cpu().numpy().astype(np.float16))
-            features.append(found.float().cpu().numpy())
+            features.append(pooled.float().cpu().numpy())
             bad = np.flatnonzero(~np.isfinite(features[-1]).all(1))
             if len(bad):
                 raise EncoderError(f"{origin}: state {first + bad[0]}: its features are not finite numbers")

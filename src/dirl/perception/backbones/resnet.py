@@ -21,7 +21,7 @@ from dirl.scenes.io.files import read_tensors
 SIZE = (224, 224)
 """Height and width, in pixels, that views are resized to unless a caller says otherwise."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's red, green and blue, on a scale from 0 to 1."""
+"""Mean and deviation of ImageNet's red, green and blue, on a scale from 0 to 1."""
 
 DATA = Path(__file__).parent / "data"
 
@@ -54,7 +54,7 @@ class Bottleneck(nn.Module):
             )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Maps ``[B, inputs, H, W]`` to ``[B, 4 width, H / stride, W / stride]``."""
+        """Transform maps ``[B, inputs, H, W]`` to ``[B, 4 width, H / stride, W / stride]``."""
         y = F.relu(self.bn1(self.conv1(x)))
         y = F.relu(self.bn2(self.conv2(y)))
         return F.relu(self.bn3(self.conv3(y)) + self.downsample(x))
@@ -82,26 +82,26 @@ class ResNet50(nn.Module):
         self.requires_grad_(False).eval()
 
     def train(self, mode: bool = True) -> Self:
-        """Stays in evaluation mode, also when a network that holds the backbone is trained."""
+        """Stay in evaluation mode, also when a network that holds the backbone is trained."""
         return super().train(False)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Normalised images (see `preprocess`), ``[B, 3, H, W]``, to their global average pool, ``[B, 2048]``."""
+        """Return the global average pool, ``[B, 2048]``, of normalised images (see `preprocess`), ``[B, 3, H, W]``."""
         return self.pool(self.third_stage(images))
 
     def third_stage(self, images: Tensor) -> Tensor:
-        """Normalised images, ``[B, 3, H, W]``, to the third stage's map, ``[B, 1024, H / 16, W / 16]``."""
+        """Return the third stage's map, ``[B, 1024, H / 16, W / 16]``, of normalised images, ``[B, 3, H, W]``."""
         x = F.relu(self.bn1(self.conv1(images)))
         x = F.max_pool2d(x, 3, 2, padding=1)
         return self.layer3(self.layer2(self.layer1(x)))
 
     def pool(self, third_stage: Tensor) -> Tensor:
-        """From the third stage's map to features, ``[B, 2048]``."""
+        """Return features, ``[B, 2048]``, of the third stage's map."""
         return self.layer4(third_stage).mean((2, 3))
 
 
 def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
-    """The input of the backbone: views resized, scaled to [0, 1], and normalised as on ImageNet.
+    """Return the backbone's input: views resized, scaled to [0, 1], and normalised as on ImageNet.
 
     Pillow resizes one view at a time, because that is how the features of the built-in rooms were made. torch's
     own antialiasing rounds differently and changes features by 0.2 %; without antialiasing they change by 15 %.
@@ -121,7 +121,7 @@ def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
 
 
 def resized(views: Tensor, size: tuple[int, int]) -> Tensor:
-    """Views as Pillow resizes them, float32 ``[B, *size, 3]`` in [0, 255], on the CPU; see `preprocess`."""
+    """Resize views by Pillow, to float32 ``[B, *size, 3]`` in [0, 255], on the CPU; see `preprocess`."""
     if views.dtype != torch.uint8 or views.ndim != 4 or views.shape[-1] != 3:
         raise ValueError(f"views are uint8 [B, H, W, 3], not {views.dtype} {list(views.shape)}")
     images = torch.empty(len(views), *size, 3)
@@ -131,7 +131,7 @@ def resized(views: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:
-    """The features of RGB views, uint8 ``[N, H, W, 3]``, ``batch`` at a time: float32 ``[N, 2048]``.
+    """Return the features, float32 ``[N, 2048]``, of RGB views, uint8 ``[N, H, W, 3]``, ``batch`` at a time.
 
     They are computed on the backbone's device, and returned on that of the views.
     """
@@ -140,7 +140,7 @@ def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:
 
 
 def fused(backbone: ResNet50) -> ResNet50:
-    """A copy with every batch norm folded into its convolution: the same features up to float32 rounding."""
+    """Return a copy with every batch norm folded into its convolution: the same features up to float32 rounding."""
     backbone = copy.deepcopy(backbone)
     for module in list(backbone.modules()):
         for k in [name.removeprefix("conv") for name, _ in module.named_children() if name.startswith("conv")]:
@@ -152,7 +152,7 @@ def fused(backbone: ResNet50) -> ResNet50:
 
 
 def load_backbone(path: str | Path) -> ResNet50:
-    """The backbone with the weights in a file.
+    """Load the backbone with the weights in a file.
 
     Args:
         path: a state_dict with torchvision's names for ResNet-50, saved by ``torch.save``, of any floating-point type.
@@ -174,7 +174,7 @@ def load_backbone(path: str | Path) -> ResNet50:
 
 
 def backbone_of(stored: object, origin: str) -> ResNet50:
-    """The backbone with the weights of a state_dict, see `load_backbone`; ``origin`` is named in errors.
+    """Return the backbone with the weights of a state_dict, see `load_backbone`; errors name ``origin``.
 
     Raises:
         ValueError: it is not a state_dict, or the parameters are not those of a ResNet-50.
@@ -185,28 +185,28 @@ def backbone_of(stored: object, origin: str) -> ResNet50:
     with torch.device("meta"):  # random weights would take most of the time
         backbone = ResNet50()
     wanted = {name: value for name, value in backbone.state_dict().items() if not is_ignored(name)}
-    found = {name: value for name, value in items if not is_ignored(name)}
+    given = {name: value for name, value in items if not is_ignored(name)}
     for name, parameter in wanted.items():
-        if name not in found:
-            raise ValueError(f"{origin}: '{name}' is missing; the file's names begin with {list(found)[:3]}")
-        shape, value = list(parameter.shape), found[name]
+        if name not in given:
+            raise ValueError(f"{origin}: '{name}' is missing; the file's names begin with {list(given)[:3]}")
+        shape, value = list(parameter.shape), given[name]
         if list(value.shape) != shape or not value.is_floating_point():
             raise ValueError(f"{origin}: '{name}': expected floats {shape}, found {value.dtype} {list(value.shape)}")
     # A deeper ResNet holds every name of this one, and would give nonsense.
-    if unknown := [name for name in found if name not in wanted]:
+    if unknown := [name for name in given if name not in wanted]:
         raise ValueError(f"{origin}: '{unknown[0]}' is no parameter of a ResNet-50")
     counters = {name: torch.tensor(0) for name in backbone.state_dict() if name.endswith(".num_batches_tracked")}
-    backbone.load_state_dict({name: value.float() for name, value in found.items()} | counters, assign=True)
+    backbone.load_state_dict({name: value.float() for name, value in given.items()} | counters, assign=True)
     return backbone
 
 
 def is_ignored(name: str) -> bool:
-    """Whether a parameter is of no use: the classifier, and counters of the training, which some files lack."""
+    """Return True for parameters of no use: the classifier, and counters of the training, which some files lack."""
     return name.startswith("fc.") or name.endswith(".num_batches_tracked")
 
 
 def shipped_backbone() -> ResNet50:
-    """The backbone with the shipped weights, float32."""
+    """Load the backbone with the shipped weights, float32."""
     layers: dict[str, dict[str, Any]] = torch.load(WEIGHTS, map_location="cpu", weights_only=True)
     state: dict[str, Tensor] = {}
     for name, layer in layers.items():
@@ -225,7 +225,7 @@ def shipped_backbone() -> ResNet50:
 
 
 def decode_convolution(centroids: Tensor, assignments: Tensor, n_blocks: int, k: int) -> Tensor:
-    """The weight of a product-quantised convolution, float32 ``[out, in, k, k]``.
+    """Return the weight of a product-quantised convolution, float32 ``[out, in, k, k]``.
 
     Args:
         centroids: the codebook: blocks of b weights of one output channel, ``[entries, b]``.

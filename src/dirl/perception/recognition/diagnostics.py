@@ -105,7 +105,7 @@ def _facts(scene: Scene, parts: IntArray) -> dict[str, str]:
 
 
 def _parts(scene: Scene) -> IntArray:
-    """The strongly connected parts, numbered from the largest on, int64 ``[N]``."""
+    """Return each state's strongly connected part, numbered from the largest on, int64 ``[N]``."""
     both_ways = (scene.distances >= 0) & (scene.distances.T >= 0)
     first = both_ways.argmax(1)
     _, part, sizes = np.unique(first, return_inverse=True, return_counts=True)

@@ -14,8 +14,8 @@ from dirl.perception.recognition.photo import PhotoOdds
 from dirl.perception.recognition.recogniser import Thresholds
 from dirl.scenes.io.files import read_tensors
 
-WEIGHTS = Path(__file__).parents[2] / "agents" / "general" / "recogniser.pt"
-"""Those of the agent `general`, for features and patches of EfficientNet-Lite0."""
+WEIGHTS = Path(__file__).parents[2] / "pretrained" / "general" / "recogniser.pt"
+"""Weights of the agent `general`, for features and patches of EfficientNet-Lite0."""
 
 ROWS, COLUMNS, VIEWS = 2, 4, 4
 RING = COLUMNS * VIEWS
@@ -34,7 +34,7 @@ PANORAMA = WIDTH + POOLED
 """With what panoramas are compared by; what follows is the description of fine patches."""
 
 SCALE = 4.0
-"""Of the cosines, so that the layers on them learn as fast as the others."""
+"""Factor of the cosines, so that the layers on them learn as fast as the others."""
 
 PAIRS_AT_ONCE = 4096
 
@@ -112,7 +112,7 @@ class Learned(nn.Module):
         return bool(self.axes.any())
 
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
-        """Itself: it was trained for unseen places."""
+        """Return itself: it was trained for unseen places."""
         return self
 
     def measure(self, features: Tensor, patches: Tensor) -> None:
@@ -124,7 +124,7 @@ class Learned(nn.Module):
             self.photo.measure(patches)
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
-        """Patches and pooled features, whitened and projected, each of length one; see `Recogniser.describe`."""
+        """Return patches and pooled features, whitened and projected, each of length one; see `Recogniser.describe`."""
         known = patches is not None and (are_fine(patches) or patches.shape[-2] == ROWS * COLUMNS)
         if patches is None or not known or features.shape[-1] != len(self.mean) or patches.shape[-1] != 96:
             raise ValueError(
@@ -138,11 +138,11 @@ class Learned(nn.Module):
         return torch.cat(parts, -1)
 
     def whiten(self, features: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
-        """Pooled features and patches by the statistics of training rooms, ``[..., 128]`` and ``[..., 8, 96]``."""
+        """Whiten pooled features and patches by training rooms, to ``[..., 128]`` and ``[..., 8, 96]``."""
         return (features.float() - self.mean) @ self.axes, (coarse(patches).float() - self.patch_mean) @ self.patch_axes
 
     def project(self, pooled: Tensor, patches: Tensor) -> Tensor:
-        """The description of whitened features and patches, float32 ``[..., F]``; see `describe`."""
+        """Return the description of whitened features and patches, float32 ``[..., F]``; see `describe`."""
         # Rows of patches become columns: [..., 4 columns, 2 rows, channels].
         parts = self.dropout(patches).unflatten(-2, (ROWS, COLUMNS)).transpose(-3, -2)
         pooled = self.dropout(pooled)
@@ -151,11 +151,11 @@ class Learned(nn.Module):
         return torch.cat([part.flatten(-3) for part in lengths[:2]] + lengths[2:], -1)
 
     def whole(self, described: Tensor) -> Tensor:
-        """Principal components of pooled features, not whitened, ``[..., 128]``; see `ComparesPanoramas`."""
+        """Return principal components of pooled features, not whitened, ``[..., 128]``; see `ComparesPanoramas`."""
         return described[..., WIDTH:PANORAMA]
 
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
-        """The log odds of every two; see `Recogniser.scores`."""
+        """Return the log odds of every two; see `Recogniser.scores`."""
         rows = max(1, PAIRS_AT_ONCE // references.shape[-3])
         if references.shape[-2] == 1 and min(seen.shape[-1], references.shape[-1]) > PANORAMA:
             photos = references[..., 0, PANORAMA:]
@@ -164,28 +164,28 @@ class Learned(nn.Module):
         return torch.cat(blocks, -2)
 
     def log_odds(self, seen: Tensor, reference: Tensor) -> Tensor:
-        """Of visits, float32 ``[..., 4, F]``, with references, ``[..., V, F]``, broadcast; ``[...]``."""
+        """Return log odds, ``[...]``, of visits, float32 ``[..., 4, F]``, and references ``[..., V, F]``, broadcast."""
         several = int(reference.shape[-2] > 1)
         slope, intercept = self.calibration[several]
         return slope * self.of_columns(self.compare(seen, reference)) + intercept
 
     def compare(self, seen: Tensor, reference: Tensor) -> Tensor:
-        """Cosines of each column of the reference, float32 ``[..., 4 V, features]``; see `log_odds`."""
+        """Return cosines of each column of the reference, float32 ``[..., 4 V, features]``; see `log_odds`."""
         ring, columns = _parts(seen), _parts(reference)
         count = columns[0].shape[-3]
         near = torch.arange(count)[:, None] + torch.arange(-OFFSETS, OFFSETS + 1)
         near = near.to(seen.device)
-        found = []
+        parts = []
         for around, ahead in zip(ring[:2], columns[:2], strict=True):
             cosines = torch.einsum("...iaw,...kbw->...kiab", around, ahead)
             index = (near % RING)[..., None, None].expand(*cosines.shape[:-3], near.shape[1], ROWS, ROWS)
-            found.append(cosines.gather(-3, index).flatten(-3))
+            parts.append(cosines.gather(-3, index).flatten(-3))
         whole = [(a[..., : count // COLUMNS, :] * b).sum(-1) for a, b in zip(ring[2:], columns[2:], strict=True)]
-        found.append(torch.stack(whole, -1).repeat_interleave(COLUMNS, -2))
-        return SCALE * torch.cat(found, -1)
+        parts.append(torch.stack(whole, -1).repeat_interleave(COLUMNS, -2))
+        return SCALE * torch.cat(parts, -1)
 
     def of_columns(self, compared: Tensor) -> Tensor:
-        """The log odds by what was compared of four columns, a photo's, or of sixteen; see `compare`."""
+        """Return the log odds by the cosines of four columns, a photo's, or of sixteen; see `compare`."""
         several = int(compared.shape[-2] == RING)
         read = F.relu(self.column(compared))
         read = read.reshape(-1, *read.shape[-2:]).transpose(1, 2)
@@ -197,7 +197,7 @@ class Learned(nn.Module):
 
 
 def _parts(described: Tensor) -> tuple[Tensor, ...]:
-    """Of V views, ``[..., V, F]``: two kinds of columns, ``[..., 4 V, 2, W]``, and two of views, ``[..., V, W]``."""
+    """Split V views, ``[..., V, F]``, into two kinds of columns, ``[..., 4 V, 2, W]``, and views, ``[..., V, W]``."""
     sizes = (ROWS * COLUMNS * PROJECTED, ROWS * COLUMNS * WHITENED, WHITENED, WHITENED)
     projected, whitened, *views = described[..., :WIDTH].split(sizes, -1)
     columns = (part.unflatten(-1, (COLUMNS, ROWS, -1)).flatten(-4, -3) for part in (projected, whitened))

@@ -17,7 +17,7 @@ NEAR_ROWS, NEAR_COLUMNS = 1, 2
 OFFSETS = (2 * NEAR_ROWS + 1) * (2 * NEAR_COLUMNS + 1)
 
 SCALE = 4.0
-"""Of the cosines, so that the layers on them learn as fast as the others."""
+"""Factor of the cosines, so that the layers on them learn as fast as the others."""
 
 
 class PhotoOdds(nn.Module):
@@ -45,7 +45,7 @@ class PhotoOdds(nn.Module):
 
     mean: Tensor
     std: Tensor
-    """Of fine patches in training rooms; zeros before the training."""
+    """Mean and deviation of fine patches in training rooms; zeros before the training."""
     calibration: Tensor
     """Slope and intercept of the log odds, float32 ``[2]``."""
 
@@ -60,7 +60,7 @@ class PhotoOdds(nn.Module):
         self.mean, self.std = cells.mean(0), cells.std(0)
 
     def describe(self, patches: Tensor) -> Tensor:
-        """Of each cell two vectors of length one, float ``[..., cells, 96]`` to float32 ``[..., cells * 64]``."""
+        """Return two vectors of length one a cell, float ``[..., cells, 96]`` to float32 ``[..., cells * 64]``."""
         standard = (patches.float() - self.mean) / self.std
         parts = self.patch(self.dropout(standard)), standard[..., :KEPT]
         return torch.cat([F.normalize(part, dim=-1) for part in parts], -1).flatten(-2)
@@ -68,15 +68,15 @@ class PhotoOdds(nn.Module):
     def scores(self, seen: Tensor, photos: Tensor) -> Tensor:
         """Return the log odds of visits, ``[..., A, 4, F]``, with photos, ``[..., B, F]``; ``[..., A, B]``."""
         around, photos = self._windows(seen), photos.unflatten(-1, (FINE[0] * FINE[1], -1))
-        found = []
+        cosines = []
         for part in (slice(PROJECTED), slice(PROJECTED, None)):
-            found.append(torch.einsum("...aocw,...bcw->...aboc", around[..., part], photos[..., part]))
-        compared = SCALE * torch.cat(found, -2)
+            cosines.append(torch.einsum("...aocw,...bcw->...aboc", around[..., part], photos[..., part]))
+        compared = SCALE * torch.cat(cosines, -2)
         slope, intercept = self.calibration
         return slope * self._read(compared.flatten(0, -3)).view(compared.shape[:-2]) + intercept
 
     def _windows(self, seen: Tensor) -> Tensor:
-        """The patches near each cell of the view ahead, of ``[..., 4, F]``: ``[..., offsets, 48, W]``."""
+        """Return the patches near each cell of the view ahead, of ``[..., 4, F]``: ``[..., offsets, 48, W]``."""
         ahead, right, _, left = seen.unflatten(-1, (*FINE, -1)).unbind(-4)
         wide = torch.cat([left[..., -NEAR_COLUMNS:, :], ahead, right[..., :NEAR_COLUMNS, :]], -2)
         wide = F.pad(wide, (0, 0, 0, 0, NEAR_ROWS, NEAR_ROWS))
@@ -85,7 +85,7 @@ class PhotoOdds(nn.Module):
         return torch.stack(moved, -3)
 
     def _read(self, compared: Tensor) -> Tensor:
-        """The log odds by the cosines of a pair, float32 ``[P, 2 * offsets, 48]`` to ``[P]``."""
+        """Return the log odds by the cosines of a pair, float32 ``[P, 2 * offsets, 48]`` to ``[P]``."""
         read = F.relu(self.cosines(compared.unflatten(-1, FINE)))
         for layer in self.near:
             read = read + F.relu(layer(read))

@@ -58,7 +58,7 @@ class Recogniser(Protocol):
     """Its own; None where the configuration of the stop and the memory gives them."""
 
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
-        """The recogniser for a place.
+        """Return the recogniser for a place.
 
         Args:
             features: pooled ones of N views of the place, float ``[N, D]``.
@@ -66,7 +66,7 @@ class Recogniser(Protocol):
         """
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
-        """What is compared of views.
+        """Return what is compared of views.
 
         Args:
             features: pooled ones, float ``[..., D]``.
@@ -77,7 +77,7 @@ class Recogniser(Protocol):
         """
 
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
-        """How much each visit looks like each reference.
+        """Return how much each visit looks like each reference.
 
         Args:
             seen: described views of visits, float32 ``[..., A, 4, F]``.
@@ -152,21 +152,21 @@ class NCC(nn.Module):
     thresholds: Thresholds | None = None
 
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
-        """Itself: it has no statistics."""
+        """Return itself: it has no statistics."""
         return self
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
-        """The features themselves; see `Recogniser.describe`."""
+        """Return the features themselves; see `Recogniser.describe`."""
         return features.float()
 
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
-        """Pearson's coefficients, in [-1, 1], of as many views as the references have; see `Recogniser.scores`."""
+        """Return Pearson's coefficients, in [-1, 1], of as many views as references have; see `Recogniser.scores`."""
         seen = seen[..., : references.shape[-2], :]
         return normal_vectors(seen.flatten(-2)) @ normal_vectors(references.flatten(-2)).transpose(-1, -2)
 
 
 def ncc(observation: Tensor, goal: Tensor) -> Tensor:
-    """Normalised cross-correlation of feature vectors, i.e. Pearson's coefficient (paper equation 13).
+    """Return normalised cross-correlation of feature vectors, Pearson's coefficient (paper equation 13).
 
     Of float ``[..., D]``, broadcast, to ``[...]`` in [-1, 1]; 0 where one of the vectors is constant.
     """
@@ -174,7 +174,7 @@ def ncc(observation: Tensor, goal: Tensor) -> Tensor:
 
 
 def normal_vectors(vector: Tensor) -> Tensor:
-    """Vectors, float ``[..., D]``, without their mean and of length one; the product of two is their `ncc`."""
+    """Return vectors, float ``[..., D]``, without their mean and of length one; the product of two is their `ncc`."""
     centred = vector - vector.mean(-1, keepdim=True)
     # The mean of a constant vector is rounded; the remainder must not be normalised to length one.
     constant = vector.amax(-1, keepdim=True) == vector.amin(-1, keepdim=True)
@@ -182,7 +182,7 @@ def normal_vectors(vector: Tensor) -> Tensor:
 
 
 def in_blocks(recogniser: Recogniser, seen: Tensor, references: Tensor, block: int = 256) -> Tensor:
-    """`Recogniser.scores` of many visits, ``[A, V, F]`` and ``[B, V, F]``, computed ``block`` rows at a time."""
+    """Return `Recogniser.scores` of many visits, ``[A, V, F]`` and ``[B, V, F]``, computed ``block`` rows at a time."""
     return torch.cat([recogniser.scores(rows, references) for rows in seen.split(block)])
 
 

@@ -3,9 +3,9 @@
 The built-in rooms were made with it.
 """
 
-from dirl.sources.rooms.build import build_room, built_in_rooms, describe_room
 from dirl.sources.rooms.checks import check_room
 from dirl.sources.rooms.description import RoomDescription, description_text, read_description
+from dirl.sources.rooms.dump import build_room, built_in_rooms, describe_room
 from dirl.sources.rooms.sampling import KINDS, sample_room
 
 __all__ = [

@@ -8,7 +8,7 @@ from PIL import Image
 from dirl.sources.rooms.description import Piece, RoomDescription, Size
 from dirl.sources.rooms.layout import assemble_pieces, place_of
 from dirl.sources.rooms.mesh import Array, Part
-from dirl.sources.rooms.navigation import Walk, clearance, footprints, walk
+from dirl.sources.rooms.walkable import Walk, clearance, footprints, walk
 
 BLANK = 8.0
 """A view whose grey values have a smaller standard deviation (of 255) is nearly blank."""
@@ -16,7 +16,7 @@ BLANK = 8.0
 ALIKE = 0.9
 """Two views whose thumbnails have a larger normalised cross-correlation look alike."""
 
-NEAR = 1.01
+STRIDE = 1.01
 """Metres: views from so near that face about the same way may look alike."""
 
 MARGIN = 0.015
@@ -34,22 +34,22 @@ def check_room(room: RoomDescription) -> list[str]:
 
     Pieces that overlap, reach out of the room, or stand in front of a door; places that are cut off.
     """
-    found, boxes, solid = [], [], footprints(room)
+    problems, boxes, solid = [], [], footprints(room)
     for (where, parts), piece in zip(assemble_pieces(room)[1:], room.furniture, strict=True):
         boxes.append((where, _boxes(parts, place_of(piece, room.size)[2])))
         corners = np.concatenate([part.corners.reshape(-1, 3) for part in parts])
         outside = np.maximum(-corners.min(0), corners.max(0) - room.size).max()
         if outside > MARGIN and piece.kind != "ceiling_lamp":
-            found.append(f"{where} reaches {100 * outside:.0f} cm out of the room")
-    for (one, its_boxes), (other, others_boxes) in combinations(boxes, 2):
+            problems.append(f"{where} reaches {100 * outside:.0f} cm out of the room")
+    for (first, its_boxes), (other, others_boxes) in combinations(boxes, 2):
         depth = _overlap(its_boxes, others_boxes)
         if depth > MARGIN:
-            found.append(f"{one} and {other} reach {100 * depth:.0f} cm into each other")
+            problems.append(f"{first} and {other} reach {100 * depth:.0f} cm into each other")
     for (where, _), piece in zip(boxes, room.furniture, strict=True):
         if piece.kind == "door":
             start, end = door_strip(piece, room.size)
             if clearance(start[None], end[None], solid)[0] < DOOR_SPACE / 2 - MARGIN:
-                found.append(f"{where}: less than {DOOR_SPACE} m in front of it are free")
+                problems.append(f"{where}: less than {DOOR_SPACE} m in front of it are free")
     # The places are compared with all free points of the grid.
     steps = [np.arange(start, end, room.grid.step) for start, end in zip(room.grid.origin, room.size[:2], strict=True)]
     points = np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2)
@@ -58,8 +58,8 @@ def check_room(room: RoomDescription) -> list[str]:
     free = int((indoors & (clearance(points, points, solid) >= radius)).sum())
     places = len(walk(room).places)
     if places < COVERED * free:
-        found.append(f"[grid] only {places} of {free} free points can be reached from each other")
-    return found
+        problems.append(f"[grid] only {places} of {free} free points can be reached from each other")
+    return problems
 
 
 Boxes = tuple[Array, Array, Array]
@@ -80,8 +80,8 @@ def _overlap(a: Boxes, b: Boxes) -> float:
     (axes_a, corners_a, heights_a), (axes_b, corners_b, heights_b) = a, b
     spans = [((corners_a * axis).sum(-1), (corners_b * axis).sum(-1)) for axis in (*axes_a, *axes_b)]
     depths = [
-        np.minimum.outer(one.max(1), other.max(1)) - np.maximum.outer(one.min(1), other.min(1))
-        for one, other in [(heights_a, heights_b), *spans]
+        np.minimum.outer(first.max(1), second.max(1)) - np.maximum.outer(first.min(1), second.min(1))
+        for first, second in [(heights_a, heights_b), *spans]
     ]
     return float(max(0.0, np.minimum.reduce(depths).max()))
 
@@ -115,7 +115,7 @@ def check_views(thumbnails: Array, contrasts: Array, way: Walk) -> list[str]:
         contrasts: of every state, see `contrast`, ``[N]``.
         way: the states.
     """
-    found = [
+    problems = [
         f"state {state}: its view is nearly blank (standard deviation {contrasts[state]:.1f} of 255)"
         for state in np.flatnonzero(contrasts < BLANK)
     ]
@@ -123,10 +123,10 @@ def check_views(thumbnails: Array, contrasts: Array, way: Walk) -> list[str]:
     turns = len(way.headings)
     positions, headings = np.repeat(way.places, turns, 0), np.tile(way.headings, len(way.places))
     turned = np.abs((headings[:, None] - headings + 180) % 360 - 180)
-    far = (turned >= 90) | (np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1)) > NEAR)
+    far = (turned >= 90) | (np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1)) > STRIDE)
     for a, b in np.argwhere(np.triu((likeness > ALIKE) & far, 1)):
-        found.append(f"states {a} and {b} look alike (correlation {likeness[a, b]:.2f}) but are far apart")
-    return found
+        problems.append(f"states {a} and {b} look alike (correlation {likeness[a, b]:.2f}) but are far apart")
+    return problems
 
 
 def correlation(thumbnails: Array) -> Array:

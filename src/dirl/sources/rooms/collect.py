@@ -14,11 +14,11 @@ from dirl.scenes.catalogue import ROOM, split_of
 from dirl.scenes.io.files import write_text
 from dirl.scenes.io.processes import in_processes
 from dirl.scenes.scene import SceneError
-from dirl.sources.rooms.build import Changes, check_arguments, look_views, poses, take_views, write_room
 from dirl.sources.rooms.description import description_text
-from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.dump import Changes, check_arguments, look_views, poses, take_views, write_room
 from dirl.sources.rooms.sampling.sample import LOOK, sample_views
 from dirl.sources.rooms.view import Renderer
+from dirl.sources.rooms.walkable import walk
 
 if TYPE_CHECKING:  # the models are built on the scenes
     from dirl.perception.backbones import ViewEncoder
@@ -110,13 +110,13 @@ def missing_rooms(folder: Path, wanted: Sequence[Wanted], stored: dict[str, obje
     for path in sorted(folder.glob("[!.]*.h5")):
         try:
             with h5py.File(path) as file:
-                made = json.loads(file.attrs["settings"])
+                used = json.loads(file.attrs["settings"])
         except (OSError, KeyError, ValueError) as error:
             raise SceneError(f"{path}: says not how it was made ({error}); delete it, or name another folder") from None
         for key, value in stored.items():
-            if made.get(key) != value:
+            if used.get(key) != value:
                 raise SceneError(
-                    f"{folder}: {path.stem} was made with {key}={made.get(key)}, not {value}; give the same options, "
+                    f"{folder}: {path.stem} was made with {key}={used.get(key)}, not {value}; give the same options, "
                     "or another folder"
                 )
     return [(kind, seed) for kind, seed in wanted if not (folder / f"{kind}_{seed}.h5").is_file()]
@@ -151,17 +151,17 @@ def make_rooms(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     if workers == 1 or len(wanted) == 1:
-        yield from (make_room(folder, one, settings) for one in wanted)
+        yield from (make_room(folder, room, settings) for room in wanted)
     else:
-        tasks = [partial(make_room, folder, one, settings, threads=1) for one in wanted]
+        tasks = [partial(make_room, folder, room, settings, threads=1) for room in wanted]
         yield from in_processes(tasks, min(workers, len(wanted)), f"{folder}: a process that made a room")
 
 
 def make_room(
-    folder: Path, one: Wanted, settings: RoomSettings, *, threads: int | None = None
+    folder: Path, wanted: Wanted, settings: RoomSettings, *, threads: int | None = None
 ) -> MadeRoom | SceneError:
     """Draw a room, take and encode its views, and write its dump and its description; see `make_rooms`."""
-    kind, seed = one
+    kind, seed = wanted
     encoder = encoder_of(settings)
     try:
         room, views = sample_views(kind, seed, threads=threads)

@@ -213,20 +213,20 @@ def parse_description(text: str) -> RoomDescription:
 def _with_options(
     kind: Any, table: Mapping[str, object], where: str, kinds: Mapping[str, Callable[..., object]]
 ) -> Any:
-    """A dataclass made of a table; what it does not have itself are options of the one of ``kinds`` that it names."""
+    """Return a dataclass of a table; other keys are options of the one of ``kinds`` that the table names."""
     chosen = str(table.get("kind", "plain"))
     check_choice(chosen, kinds, f"{where}: kind")
-    made = vars(checked(table, _table(kind, kinds[chosen]), where))
-    own = [one.name for one in fields(kind) if one.name != "options"]
-    options = {name: made[name] for name in table if name not in own}
-    return kind(**{name: made[name] for name in own}, options=options)
+    values = vars(checked(table, _table(kind, kinds[chosen]), where))
+    own = [field.name for field in fields(kind) if field.name != "options"]
+    options = {name: values[name] for name in table if name not in own}
+    return kind(**{name: values[name] for name in own}, options=options)
 
 
 @cache
-def _table(kind: type, made: Callable[..., object]) -> type:
+def _table(kind: type, function: Callable[..., object]) -> type:
     """Return a dataclass that has the options of a function, its keyword-only parameters, among its own."""
-    hints = get_type_hints(made)
-    options = [(name, hints[name], None) for name in inspect.getfullargspec(made).kwonlyargs]
+    hints = get_type_hints(function)
+    options = [(name, hints[name], None) for name in inspect.getfullargspec(function).kwonlyargs]
     return make_dataclass(kind.__name__, [*options, ("options", ClassVar[Any])], bases=(kind,), frozen=True)
 
 
@@ -238,8 +238,8 @@ def _walls(room: _Shell) -> dict[str, tuple[Band, ...]]:
     height = room.size[2]
     bands = {side: [[height, given]] if isinstance(given, str) else given for side, given in room.walls.items()}
     walls = vars(checked(bands, _Walls, "[room.walls]"))
-    for side, made in walls.items():
-        tops = [0.0, *(top for top, _ in made)]
+    for side, bands_of_side in walls.items():
+        tops = [0.0, *(top for top, _ in bands_of_side)]
         if any(low >= high for low, high in pairwise(tops)) or abs(tops[-1] - height) > 1e-6:
             raise SceneError(
                 f"[room.walls]: {side}: the upper edges of the bands must rise to the room's height, {height}"
@@ -268,7 +268,7 @@ def _piece(table: Mapping[str, object], where: str) -> Piece:
 
 def description_text(room: RoomDescription) -> str:
     """Return the TOML text of a room; `parse_description` makes an equal room of it."""
-    shell = {one.name: value for one in fields(_Shell) if (value := getattr(room, one.name)) is not None}
+    shell = {field.name: value for field in fields(_Shell) if (value := getattr(room, field.name)) is not None}
     tables = {
         "name": room.name,
         "goals": room.goals,

@@ -28,7 +28,7 @@ class Opening:
 
 
 def place_of(piece: Piece, size: Size) -> tuple[float, float, float]:
-    """Where the middle of a piece is in a room of this size, x and y in metres, and how far it is turned, degrees."""
+    """Return x and y, metres, of a piece's middle in a room of this size, and how far it is turned, degrees."""
     width, depth, _ = size
     if piece.wall is None:
         x, y = piece.at or (0.0, 0.0)
@@ -49,14 +49,14 @@ def materials_of(room: RoomDescription) -> dict[str, Material]:
 
 
 def assemble(room: RoomDescription, openings: Sequence[Opening] = ()) -> list[Part]:
-    """All triangles of a room, in metres; `SceneError` names a piece that cannot be made or has no such material."""
+    """Return a room's triangles, in metres; `SceneError` names a piece that cannot be made or has no such material."""
     return [part for _, parts in assemble_pieces(room, openings) for part in parts]
 
 
 def assemble_pieces(room: RoomDescription, openings: Sequence[Opening] = ()) -> list[tuple[str, list[Part]]]:
-    """The shell of a room and each of its pieces, with what to call it in a message; raises as `assemble` does."""
+    """Return the shell of a room and each of its pieces, with its name in messages; raises as `assemble` does."""
     materials = materials_of(room)
-    made = [("[room]", _placed(_shell(room, openings), (0, 0, 0), 0, materials, "[room]"))]
+    assembled = [("[room]", _placed(_shell(room, openings), (0, 0, 0), 0, materials, "[room]"))]
     for number, piece in enumerate(room.furniture, 1):
         where = f"[[furniture]] number {number} ({piece.kind})"
         x, y, yaw = place_of(piece, room.size)
@@ -65,8 +65,8 @@ def assemble_pieces(room: RoomDescription, openings: Sequence[Opening] = ()) -> 
             mesh = FURNITURE[piece.kind](*piece.size, **piece.options)
         except ValueError as error:
             raise SceneError(f"{where}: {error}") from None
-        made.append((where, _placed(mesh, (x, y, z), yaw, materials, where)))
-    return made
+        assembled.append((where, _placed(mesh, (x, y, z), yaw, materials, where)))
+    return assembled
 
 
 def _placed(
@@ -82,7 +82,7 @@ def _placed(
 
 
 def _shell(room: RoomDescription, openings: Sequence[Opening]) -> Mesh:
-    """Floor, ceiling, walls with their bands, skirting and rail."""
+    """Build floor, ceiling, walls with their bands, skirting and rail."""
     w, d, h = room.size
     mesh = Mesh().quad([(0, 0, 0), (w, 0, 0), (w, d, 0), (0, d, 0)], room.floor)
     mesh.quad([(0, 0, h), (0, d, h), (w, d, h), (w, 0, h)], room.ceiling)
@@ -93,7 +93,7 @@ def _shell(room: RoomDescription, openings: Sequence[Opening]) -> Mesh:
         "east": ((w, d), (w, 0)),
     }
     for side, (first, last) in ends.items():
-        for a, b, foot in _stretches(first, last, [one for one in openings if one.wall == side]):
+        for a, b, foot in _stretches(first, last, [opening for opening in openings if opening.wall == side]):
             low = 0.0
             for top, material in room.walls[side]:
                 if top > foot:
@@ -108,20 +108,20 @@ def _shell(room: RoomDescription, openings: Sequence[Opening]) -> Mesh:
 
 
 def _stretches(first: Corner, last: Corner, openings: Sequence[Opening]) -> Iterator[tuple[Corner, Corner, float]]:
-    """The stretches of a wall between its openings and above them: from where to where, and from which height up."""
+    """Yield a wall's stretches between and above its openings: from where to where, and from which height up."""
     axis = 0 if first[1] == last[1] else 1
     start, end = sorted((first[axis], last[axis]))
     cuts = [(start, end, 0.0)]
-    for one in sorted(openings, key=lambda opening: opening.low):
+    for opening in sorted(openings, key=lambda opening: opening.low):
         before = cuts.pop()
-        cuts += [(before[0], one.low, 0.0), (one.low, one.high, one.top), (one.high, end, 0.0)]
+        cuts += [(before[0], opening.low, 0.0), (opening.low, opening.high, opening.top), (opening.high, end, 0.0)]
     for low, high, foot in cuts:
         a, b = (low, high) if first[axis] < last[axis] else (high, low)
         yield ((a, first[1]), (b, first[1]), foot) if axis == 0 else ((first[0], a), (first[0], b), foot)
 
 
 def _board(mesh: Mesh, a: Corner, b: Corner, z: tuple[float, float], thick: float, material: str) -> None:
-    """A board along the foot of a wall from a to b, which has the room on its right."""
+    """Add a board along the foot of a wall from a to b, which has the room on its right."""
     start, end = np.array(a), np.array(b)
     along = (end - start) / np.linalg.norm(end - start)
     inwards: Array = np.array([along[1], -along[0]]) * thick

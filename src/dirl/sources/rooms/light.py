@@ -27,7 +27,7 @@ def bake(scenery: Scenery, *, direct: int = 36, indirect: int = 100, bounces: in
 
 
 def standpoints(scenery: Scenery) -> tuple[Array, Array]:
-    """For each point, where its rays start, just off the surface and off what it touches, and its normal."""
+    """Return where each point's rays start, just off the surface and off what it touches, and its normal."""
     count = len(scenery.point_corner)
     points = scenery.corners.reshape(-1, 3)[scenery.point_corner]
     normals = scenery.normals.reshape(-1, 3)[scenery.point_corner]
@@ -41,7 +41,7 @@ def standpoints(scenery: Scenery) -> tuple[Array, Array]:
 
 
 def direct_light(scenery: Scenery, origins: Array, normals: Array, rays: int, rng: np.random.Generator) -> Array:
-    """Irradiance from the materials that emit light, float64 ``[P, 3]``; the rays spread evenly over their surfaces."""
+    """Return irradiance from materials that emit light, float64 ``[P, 3]``; rays spread evenly over their surfaces."""
     light, count = np.zeros((len(origins), 3)), len(origins)
     for material in np.flatnonzero(scenery.emit > 0):
         triangles = np.flatnonzero(scenery.material == material)
@@ -85,7 +85,7 @@ def gather(scenery: Scenery, origins: Array, normals: Array, rays: int, rng: np.
 
 
 def bounced_light(scenery: Scenery, light: Array, seen: Array, bounces: int) -> Array:
-    """Irradiance that comes from other surfaces, ``[P, 3]``, given the direct one and what each point sees."""
+    """Return irradiance that comes from other surfaces, ``[P, 3]``, given the direct one and what each point sees."""
     albedo = np.zeros((len(light), 3), np.float32)
     albedo[scenery.point.ravel()] = np.repeat(scenery.mean_color[scenery.material], 3, axis=0)
     gathered = np.zeros_like(light)
@@ -99,7 +99,7 @@ def bounced_light(scenery: Scenery, light: Array, seen: Array, bounces: int) -> 
 
 
 def _smoothed(scenery: Scenery, light: Array, rounds: int) -> Array:
-    """Each point's light averaged with its neighbours', against the noise of few rays."""
+    """Average each point's light with its neighbours', against the noise of few rays."""
     around, count = scenery.point.ravel(), len(light)
     for _ in range(rounds):
         sums = np.repeat(light[scenery.point].sum(1), 3, axis=0)

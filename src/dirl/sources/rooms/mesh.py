@@ -41,7 +41,7 @@ class Part:
         return corner_normals(self.unturned, self.smooth) @ self.turn
 
     def moved(self, at: ArrayLike, yaw: float, texture_size: float, *, grained: bool = False) -> "Part":
-        """Turned anticlockwise by ``yaw`` degrees about the z axis, then shifted by ``at`` ``[3]``.
+        """Return the part turned anticlockwise by ``yaw`` degrees about the z axis, then shifted by ``at`` ``[3]``.
 
         Where the texture lies is fixed beforehand, so that it turns with the part; ``grained`` ones run along it.
         """
@@ -52,7 +52,7 @@ class Part:
 
 
 def _box_projection(corners: Array, texture_size: float, grained: bool) -> Array:
-    """Metres over the repeat's size, along the two axes that a triangle faces least; the longer first if grained."""
+    """Return metres over the repeat's size along the two axes a triangle faces least; the longer first if grained."""
     facing = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])).argmax(1)
     pairs = np.array([[1, 2], [0, 2], [0, 1]])
     if grained:
@@ -63,7 +63,7 @@ def _box_projection(corners: Array, texture_size: float, grained: bool) -> Array
 
 
 def corner_normals(corners: Array, angle: float) -> Array:
-    """Area-weighted means over the triangles that share a corner and face within ``angle`` degrees of each other."""
+    """Return means, by area, over triangles that share a corner and face within ``angle`` degrees of each other."""
     faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     directions = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-12)
     keys = np.round(corners.reshape(-1, 3) * 1e5).astype(np.int64)
@@ -92,7 +92,7 @@ def _triangles(points: Array) -> Array:
 
 
 def fan(centre: Array, ring: Array) -> Array:
-    """Triangles from a centre to a closed ring ``[n + 1, 3]``, facing along the ring's axis reversed."""
+    """Return triangles from a centre to a closed ring ``[n + 1, 3]``, facing along the ring's axis reversed."""
     return np.stack([np.broadcast_to(centre, ring[:-1].shape), ring[1:], ring[:-1]], 1)
 
 
@@ -192,7 +192,7 @@ class Mesh:
 
 @cache
 def _box_corners(beveled: bool) -> tuple[Array, Array]:
-    """The corners of a box's triangles: on which side of the box, -1 or 1, and where inset; int ``[n, 3, 3]`` each."""
+    """Return a box's triangle corners: on which side of the box, -1 or 1, and where inset; int ``[n, 3, 3]`` each."""
     sides, quads, triangles = (-1, 1), [], []
     for axis in range(3):
         a, b = (other for other in range(3) if other != axis)
@@ -214,8 +214,8 @@ def _box_corners(beveled: bool) -> tuple[Array, Array]:
 def functions_of(*modules: types.ModuleType) -> dict[str, Callable[..., Any]]:
     """Return the public functions that modules define, as kinds of furniture or of textures, by their names."""
     return {
-        name: made
+        name: function
         for module in modules
-        for name, made in vars(module).items()
-        if inspect.isfunction(made) and made.__module__ == module.__name__ and not name.startswith("_")
+        for name, function in vars(module).items()
+        if inspect.isfunction(function) and function.__module__ == module.__name__ and not name.startswith("_")
     }

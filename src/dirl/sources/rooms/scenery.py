@@ -43,11 +43,11 @@ class Scenery:
         self.facing, self.area = unit(crossed), np.linalg.norm(crossed.astype(np.float64), axis=1) / 2
         self.point, self.point_corner = _distinct(self.corners, self.normals)
         self.rough, self.emit, self.glow, self.size = (
-            np.array([getattr(one, key) for one in used], np.float32) for key in ("rough", "emit", "glow", "size")
+            np.array([getattr(item, key) for item in used], np.float32) for key in ("rough", "emit", "glow", "size")
         )
         self.size[self.size == 0] = 1.0
-        self.metal, self.mirror = np.array([one.metal for one in used]), np.array([one.mirror for one in used])
-        self._store_textures([paint(name, one, texture_limit) for name, one in zip(names, used, strict=True)])
+        self.metal, self.mirror = (np.array([getattr(item, key) for item in used]) for key in ("metal", "mirror"))
+        self._store_textures([paint(*pair, texture_limit) for pair in zip(names, used, strict=True)])
         from embreex import mesh_construction, rtcore_scene  # here: some machines have none
 
         self._embree = rtcore_scene.EmbreeScene()
@@ -56,11 +56,11 @@ class Scenery:
     def trace(self, origins: Array, directions: Array) -> Hits:
         """Return the first hit of each ray; origins and directions ``[n, 3]``."""
         rays = (np.ascontiguousarray(values, np.float32) for values in (origins, directions))
-        found = self._embree.run(*rays, query="INTERSECT", output=1)
-        return Hits(found["primID"].astype(np.int64), found["u"], found["v"], found["tfar"])
+        hits = self._embree.run(*rays, query="INTERSECT", output=1)
+        return Hits(hits["primID"].astype(np.int64), hits["u"], hits["v"], hits["tfar"])
 
     def color(self, triangle: Array, u: Array, v: Array, footprint: Array | None = None) -> Array:
-        """Linear texture colour, float32 ``[n, 3]``; ``footprint`` is what a pixel covers, in metres, ``[n]``."""
+        """Return linear texture colour, float32 ``[n, 3]``; ``footprint`` is what a pixel covers, metres, ``[n]``."""
         material = self.material[triangle]
         mip = self._first[material]
         if footprint is not None:
@@ -79,7 +79,7 @@ class Scenery:
         return above * (1 - fy) + below * fy
 
     def _store_textures(self, textures: list[Array]) -> None:
-        """All textures in one long array of texels, each at every size down to one pixel."""
+        """Put all textures into one long array of texels, each at every size down to one pixel."""
         levels: list[Array] = []
         first, last = [], []
         for texture in textures:

@@ -99,7 +99,7 @@ class Renderer:
     def _picture(
         self, origin: tuple[float, float, float], size: tuple[int, int], way: Callable[..., Array], spread: float
     ) -> Array:
-        """What is seen from a point; ``way`` maps columns and rows, -1 to 1, to directions ``[height, width, 3]``."""
+        """Render the view of a point; ``way`` maps columns and rows, -1 to 1, to directions ``[height, width, 3]``."""
         height, width = size
         origins = np.broadcast_to(np.array(origin, np.float32), (height * width, 3))
         total = np.zeros((height * width, 3), np.float32)

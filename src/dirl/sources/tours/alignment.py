@@ -2,7 +2,7 @@
 
 Where the link from i to j stands at yaw a of image i and the link back at yaw b of image j, the headings of both
 images differ by a - b - 180 degrees. Where b is not known, or links contradict each other, what the two panoramas show
-tells the same (`dirl.sources.tours.columns`). Over a graph with loops these equations are overdetermined. They are
+tells the same (`dirl.sources.tours.rotation`). Over a graph with loops these equations are overdetermined. They are
 solved by least squares, reweighted so that wrong ones lose weight (Geman and McClure's function, its width shrinking).
 The beginning are headings along a spanning tree of the equations whose short loops close best.
 """
@@ -14,23 +14,23 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.sources.tours.columns import Seen
+from dirl.sources.tours.rotation import Seen
 from dirl.sources.tours.tour import Tour
 
 WIDTHS = (40.0, 25.0, 15.0, 10.0)
 """Degrees at which the weight of an equation falls to a quarter, one round after the other."""
 
 LOOPS, REACHED = 3, 200
-"""Of each equation so many loops without common ones are tried, among so many panoramas around it."""
+"""Loops, without common equations, that are tried for each equation, and panoramas around it that they may visit."""
 
 REJECTED = 20.0
 """Degrees off from which on an equation is left out of the solution."""
 
 LEAD = 0.5
-"""Of `Seen.lead`: with less, what two panoramas show is not used."""
+"""Least `Seen.lead`: with less, what two panoramas show is not used."""
 
 LEAST_PEAK = 0.1
-"""Of `Seen.peak`: with less, what two panoramas show counts no less, since it may be all that joins two parts."""
+"""Floor of `Seen.peak`: below it a pair counts no less, since it may be all that joins two parts."""
 
 LINKS_OFF, SEEN_OFF = 1.0, 3.0
 """Degrees that links are off at least, where panoramas are compared, and that turns by what panoramas show are off."""
@@ -71,28 +71,28 @@ def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Ali
     count = len(tour.panoramas)
     yaw = tour.yaws()
     both = [pair for pair in yaw if pair[0] < pair[1] and pair[::-1] in yaw]
-    shown = {pair: found for pair, found in (seen or {}).items() if found.lead >= LEAD}
+    shown = {pair: turned for pair, turned in (seen or {}).items() if turned.lead >= LEAD}
     ends = np.array([*both, *shown], np.int64).reshape(-1, 2)
-    turns = np.array([*(yaw[i, j] - yaw[j, i] - 180 for i, j in both), *(found.turn for found in shown.values())])
+    turns = np.array([*(yaw[i, j] - yaw[j, i] - 180 for i, j in both), *(turned.turn for turned in shown.values())])
     by_link = np.arange(len(ends)) < len(both)
     trust = np.ones(len(ends))
     if shown:
         loops = align(tour).loops
         links_off = max(LINKS_OFF, float(np.median(loops))) if len(loops) else SEEN_OFF
-        seen_off = [SEEN_OFF / np.clip(min(found.lead, found.peak), LEAST_PEAK, 1) for found in shown.values()]
+        seen_off = [SEEN_OFF / np.clip(min(turned.lead, turned.peak), LEAST_PEAK, 1) for turned in shown.values()]
         trust = (LINKS_OFF / np.array([*[links_off] * len(both), *seen_off])) ** 2
     headings = _solved(ends, turns, trust, count)
     off = np.abs(_off(ends, turns, headings))
     kept = off <= REJECTED
     part = _forest(ends[kept], turns[kept], count)[1]
     headings = _relaxed(ends[kept], turns[kept], headings, trust[kept], part)
-    told = ~by_link | np.array([pair not in shown for pair in [*both, *shown]], bool)
-    worst = sorted(np.flatnonzero(~kept & by_link).tolist(), key=lambda one: -off[one])
+    closing = ~by_link | np.array([pair not in shown for pair in [*both, *shown]], bool)
+    worst = sorted(np.flatnonzero(~kept & by_link).tolist(), key=lambda equation: -off[equation])
     return Alignment(
         headings % 360,
         part,
-        _loops(ends[told], turns[told], kept[told], count),
-        [(*both[one], float(off[one])) for one in worst],
+        _loops(ends[closing], turns[closing], kept[closing], count),
+        [(*both[equation], float(off[equation])) for equation in worst],
         [pair for pair in yaw if pair[::-1] not in yaw],
     )
 
@@ -103,7 +103,7 @@ def wrap(degrees: Array) -> Array:
 
 
 def least_squares(ends: Integers, offsets: Array, weight: Array, part: Integers) -> Array:
-    """Values, float64 ``[N, ...]``, that differ by offsets as nearly as they can, 0 for the first of each part.
+    """Return values, float64 ``[N, ...]``, that differ by offsets as nearly as possible, 0 for the first of each part.
 
     Args:
         ends: pairs of values, int64 ``[E, 2]``.
@@ -128,7 +128,7 @@ def _off(ends: Integers, turns: Array, headings: Array) -> Array:
 
 
 def _relaxed(ends: Integers, turns: Array, headings: Array, weight: Array, part: Integers) -> Array:
-    """One step of Gauss and Newton, exact where no turn wraps around; the first heading of each part stays."""
+    """Take one step of Gauss and Newton, exact where no turn wraps around; the first heading of each part stays."""
     return headings + least_squares(ends, _off(ends, turns, headings), weight, part)
 
 
@@ -148,7 +148,7 @@ def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
 
 
 def _neighbours(ends: Integers, count: int) -> list[list[tuple[int, int, int]]]:
-    """Of each panorama its neighbours, the equation with each, and whether it is to be added or subtracted."""
+    """Return each panorama's neighbours, the equation with each, and 1 if it is to be added, -1 if subtracted."""
     near: list[list[tuple[int, int, int]]] = [[] for _ in range(count)]
     for equation, (i, j) in enumerate(ends.tolist()):
         near[i].append((j, equation, 1))
@@ -157,7 +157,7 @@ def _neighbours(ends: Integers, count: int) -> list[list[tuple[int, int, int]]]:
 
 
 def _loop_errors(ends: Integers, turns: Array, count: int) -> Array:
-    """How far off the best of a few short loops through each equation closes, degrees, float64 ``[E]``; 180 without."""
+    """Return the error of the best of few short loops through each equation, degrees, float64 ``[E]``; 180 without."""
     near = _neighbours(ends, count)
     errors = np.full(len(ends), 180.0)
     for index, (i, j) in enumerate(ends.tolist()):
@@ -175,7 +175,7 @@ def _loop_errors(ends: Integers, turns: Array, count: int) -> Array:
 def _short_path(
     start: int, end: int, near: list[list[tuple[int, int, int]]], used: Collection[int]
 ) -> list[tuple[int, int]] | None:
-    """Equations with their signs along a shortest path without those used, among the nearest `REACHED` panoramas."""
+    """Return equations and their signs along a shortest path without ``used``, among `REACHED` panoramas nearby."""
     came: dict[int, tuple[int, int, int]] = {start: (-1, -1, 0)}
     queue = [start]
     for here in queue:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from dirl.scenes.io.files import LONGEST, inside, text_of
 from dirl.scenes.scene import SceneError
-from dirl.sources.tours.images import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
+from dirl.sources.tours.pixels import FACES, MOST_LEVELS, Cube, Equirectangular, six_images, tiled
 from dirl.sources.tours.tour import MOST_TEXT, Described, FlatError, Link, Panorama, entries, entry, number, read_json
 
 COMMENT = r"(?>(?:\s|//[^\n]*\n|/\*.*?\*/)*)"  # atomic: else each comment doubles the time to find no match
@@ -34,8 +34,8 @@ def read_marzipano(file: Path) -> Described:
     data = read_json(text[assigned.end() :], file)
     scenes = entries(data, "scenes", str(file))
     named = [(entry(scene, "id", str, f"{file}: scene {index}"), scene) for index, scene in enumerate(scenes)]
-    found = [(name, partial(_of_marzipano, name, scene, file)) for name, scene in named]
-    return str(data.get("name") or file.resolve().parent.name), found, []
+    readers = [(name, partial(_of_marzipano, name, scene, file)) for name, scene in named]
+    return str(data.get("name") or file.resolve().parent.name), readers, []
 
 
 def _of_marzipano(name: str, scene: Mapping[str, object], file: Path) -> Panorama:
@@ -77,7 +77,7 @@ TOKENS = re.compile(
 """Texts, comments and braces of JavaScript, and values that are functions, named or written out."""
 
 MOST_OBJECTS = 100
-"""That may begin before the scenes in the same text and be no configuration."""
+"""Objects that may begin before the scenes in the same text and be no configuration."""
 
 MOST_PARSED = 2**28
 """Characters that are tried in all."""
@@ -90,8 +90,8 @@ def read_pannellum(file: Path) -> Described:
     common = data.get("default")
     common = common if isinstance(common, Mapping) else {}
     scenes = entry(data, "scenes", dict, str(file))
-    found = [(name, partial(_of_pannellum, name, scene, common, file)) for name, scene in scenes.items()]
-    return str(common.get("title") or file.resolve().parent.name), found, []
+    readers = [(name, partial(_of_pannellum, name, scene, common, file)) for name, scene in scenes.items()]
+    return str(common.get("title") or file.resolve().parent.name), readers, []
 
 
 def _without_functions(text: str) -> str:
@@ -112,12 +112,12 @@ def _within(text: str, file: Path) -> dict[str, object]:
     why = SceneError(f"{file}: has no object with 'scenes', as pannellum.viewer(...) takes it")
     for begin in islice(_objects(text), MOST_PARSED // (len(text) + 1)):
         try:
-            found = read_json(text[begin:], file)
+            data = read_json(text[begin:], file)
         except SceneError as error:
             why = error
             continue
-        if "scenes" in found:
-            return found
+        if "scenes" in data:
+            return data
     raise why
 
 
@@ -166,7 +166,7 @@ def _image(scene: Mapping[str, object], file: Path, where: str) -> Equirectangul
 
 
 def _tiles(given: Mapping[str, object], folder: Path, where: str) -> Cube:
-    """Levels 1 to ``maxLevel``; each is half as large as the next, rounded down as Pannellum's generate.py does."""
+    """Return levels 1 to ``maxLevel``, each half as large as the next, rounded down as by Pannellum's generate.py."""
     if given.get("basePath"):
         folder = inside(folder, given["basePath"], where)
     most, size, tile = (

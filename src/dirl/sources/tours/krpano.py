@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dirl.scenes.io.files import LONGEST, inside, text_of
 from dirl.scenes.scene import SceneError
-from dirl.sources.tours.images import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
+from dirl.sources.tours.pixels import MOST_LEVELS, Cube, CubeLevel, Equirectangular, six_images, tiled
 from dirl.sources.tours.tour import MOST_TEXT, Described, FlatError, Link, Panorama, number
 
 
@@ -42,8 +42,8 @@ def read_krpano(file: Path) -> Described:
     if not any(scene.get("heading", "").strip("0.") for scene in scenes):
         for scene in scenes:  # MakeVTour writes 0.0 where nothing is known
             scene.set("heading", "")
-    found = [(scene.get("name", ""), partial(_panorama, scene, file, names)) for scene in scenes]
-    return file.resolve().parent.name, found, [note] if unlinked else []
+    readers = [(scene.get("name", ""), partial(_panorama, scene, file, names)) for scene in scenes]
+    return file.resolve().parent.name, readers, [note] if unlinked else []
 
 
 def _panorama(scene: ET.Element, file: Path, names: Mapping[str, str]) -> Panorama:
@@ -86,7 +86,7 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
     url, sizes = cube.get("url", ""), cube.get("multires")
     if sizes is None:
         return six_images(lambda face: _file(url, face, 0, 1, 1, file, where))
-    tile, *sides = (int(number(one, f"{where}: multires", 1, 2**15)) for one in sizes.split(","))
+    tile, *sides = (int(number(side, f"{where}: multires", 1, 2**15)) for side in sizes.split(","))
     if not 0 < len(sides) <= MOST_LEVELS or sides != sorted(sides):
         raise SceneError(f"{where}: multires={sizes[:50]}: expected the size of tiles, then sizes of the cube, growing")
     return Cube(tuple(level_of(url, side, tile, level) for level, side in enumerate(sides, 1)))

@@ -14,19 +14,19 @@ import pyjson5
 
 from dirl.scenes.io.files import check_choice
 from dirl.scenes.scene import SceneError
-from dirl.sources.tours.images import Cube, Equirectangular
+from dirl.sources.tours.pixels import Cube, Equirectangular
 
 MOST_PANORAMAS = 2_000
-"""Of a tour; headings and layout are solved for all of them together."""
+"""Panoramas of a tour at most; headings and layout are solved for all of them together."""
 
 MOST_FILES = 1_000_000
-"""Of a tour: a hundred panoramas of 8,192 pixels a face have 200,000 tiles."""
+"""Files of a tour at most: a hundred panoramas of 8,192 pixels a face have 200,000 tiles."""
 
 MOST_SKIPPED = 20
 """Panoramas that cannot be read, and that an error names."""
 
 MOST_DEPTH = 100
-"""Of objects in objects."""
+"""Depth of objects in objects at most."""
 
 MOST_TEXT = 16 * 2**20
 """Bytes of the file that describes a tour."""
@@ -102,36 +102,36 @@ def make_tour(described: Described, origin: str, skip: Collection[str]) -> Tour:
     Flat pictures, and links that lead nowhere, to where they start, or twice to one place are left out, and noted.
     """
     name, scenes, notes = described
-    every = [one for one, _ in scenes]
+    every = [id_ for id_, _ in scenes]
     for unknown in sorted(set(skip) - set(every)):
         check_choice(unknown, every, f"{origin}: skip", "panorama")
-    wanted = [(one, read) for one, read in scenes if one not in skip]
+    wanted = [(id_, read) for id_, read in scenes if id_ not in skip]
     if len(wanted) > MOST_PANORAMAS:
         raise SceneError(f"{origin}: {len(wanted)} panoramas; at most {MOST_PANORAMAS} are read")
-    ids = {one for one, _ in wanted}
+    ids = {id_ for id_, _ in wanted}
     if len(ids) < len(wanted):
-        twice = next(one for one in every if every.count(one) > 1)
+        twice = next(id_ for id_ in every if every.count(id_) > 1)
         raise SceneError(f"{origin}: two panoramas have the id '{twice}'")
-    found: list[Panorama] = []
+    panoramas: list[Panorama] = []
     flat: list[str] = []
     problems: dict[str, str] = {}
     files = 0
-    for one, read in wanted:
+    for id_, read in wanted:
         try:
             panorama = read()
         except FlatError:
-            flat.append(one)
+            flat.append(id_)
             continue
         except SceneError as error:
-            problems[one] = str(error)
+            problems[id_] = str(error)
             continue
         files += panorama.image.count
         if files > MOST_FILES:
             raise SceneError(f"{origin}: its images are more than {MOST_FILES} files, which are not read")
-        found.append(panorama)
-    if not found and not problems:
+        panoramas.append(panorama)
+    if not panoramas and not problems:
         raise SceneError(f"{origin}: names no panoramas" + (" but those to skip, or flat ones" if every else ""))
-    problems |= {panorama.id: why for panorama in found if (why := _why_unreadable(panorama, origin))}
+    problems |= {panorama.id: why for panorama in panoramas if (why := _why_unreadable(panorama, origin))}
     if problems:
         more = f" ({len(problems)} of {len(ids) - len(flat)} panoramas cannot be read)" if len(problems) > 1 else ""
         few = len(problems) <= MOST_SKIPPED and len(problems) < len(ids) - len(flat)
@@ -139,7 +139,7 @@ def make_tour(described: Described, origin: str, skip: Collection[str]) -> Tour:
         raise SceneError(f"{next(iter(problems.values()))}{more}{skipping}")
     ids -= set(flat)
     dropped: dict[str, list[str]] = {}
-    kept = tuple(replace(panorama, links=tuple(_kept(panorama, ids, dropped))) for panorama in found)
+    kept = tuple(replace(panorama, links=tuple(_kept(panorama, ids, dropped))) for panorama in panoramas)
     lines = (f"{len(all_)} links {why} are left out, the first: {all_[0]}" for why, all_ in dropped.items())
     of_flat = [f"{len(flat)} flat pictures are left out, the first: {flat[0]}"] if flat else []
     return Tour(name, kept, (*notes, *of_flat, *lines), origin)
@@ -171,17 +171,17 @@ def _kept(panorama: Panorama, ids: set[str], dropped: dict[str, list[str]]) -> I
 
 
 def read_json(text: str, where: Path) -> dict[str, object]:
-    """The object that a text begins with: JSON, or a JavaScript literal with comments, bare keys and trailing commas.
+    """Return the object at the start of a text: JSON, or a JavaScript literal with comments, bare keys, extra commas.
 
     No code is run: a literal that calls a function or names a variable is refused. What follows the object is ignored.
     """
     try:
-        found = pyjson5.decode(text, MOST_DEPTH, True)
+        data = pyjson5.decode(text, MOST_DEPTH, True)
     except pyjson5.Json5Exception as error:
         raise SceneError(f"{where}: is no JSON, and no object of JavaScript without code ({error.args[0]})") from None
-    if not isinstance(found, dict):
+    if not isinstance(data, dict):
         raise SceneError(f"{where}: expected an object, {{...}}")
-    return found
+    return data
 
 
 Kind = TypeVar("Kind")
@@ -196,19 +196,19 @@ def entry(values: object, key: str, kind: type[Kind], where: str) -> Kind:
 
 def entries(values: object, key: str, where: str) -> list[Mapping[str, object]]:
     """Return a list of JSON objects, empty if it is missing."""
-    found = values.get(key, []) if isinstance(values, Mapping) else None
-    if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
+    items = values.get(key, []) if isinstance(values, Mapping) else None
+    if not isinstance(items, list) or not all(isinstance(item, Mapping) for item in items):
         raise SceneError(f"{where}: expected '{key}' (list of objects)")
-    return found
+    return items
 
 
 def number(value: object, where: str, low: float = -1e6, high: float = 1e6) -> float:
     """Return a number of a tour, as a number or as its text."""
     try:
-        found = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+        parsed = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
-        found = math.nan
-    if not low <= found <= high:
+        parsed = math.nan
+    if not low <= parsed <= high:
         shown = str(value)[:50]
         raise SceneError(f"{where}: expected a number from {low:g} to {high:g}, found '{shown}'")
-    return found
+    return parsed

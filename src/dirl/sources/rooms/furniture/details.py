@@ -8,7 +8,7 @@ from dirl.sources.rooms.mesh import Array, Mesh, fan
 
 
 def picture(w: float, d: float, h: float, *, image: str = "art_a", frame: str = "wood_dark", z: float = 1.5) -> Mesh:
-    """A picture in a frame, its middle at height z; w and h are without the frame."""
+    """Build a picture in a frame, its middle at height z; w and h are without the frame."""
     edge, back, front = 0.03, d / 2, d / 2 - 0.03
     z0, z1 = z - h / 2, z + h / 2
     mesh = Mesh()
@@ -21,7 +21,7 @@ def picture(w: float, d: float, h: float, *, image: str = "art_a", frame: str = 
 
 
 def mirror(w: float, d: float, h: float, *, frame: str = "wood", z: float = 1.55) -> Mesh:
-    """A mirror in a frame, its middle at height z."""
+    """Build a mirror in a frame, its middle at height z."""
     return picture(w, d, h, image="mirror", frame=frame, z=z)
 
 
@@ -35,7 +35,7 @@ def window(
     panes: tuple[int, int] = (2, 2),
     curtain: str = "",
 ) -> Mesh:
-    """A window, its middle at height z: a bright panel behind bars gives daylight and a view at once."""
+    """Build a window, its middle at height z: a bright panel behind bars gives daylight and a view at once."""
     mesh = picture(w, d, h, image=outlook, frame="white_paint", z=z)
     z0, y = z - h / 2, d / 2 - 0.022
     for i in range(1, panes[0]):
@@ -55,14 +55,14 @@ def window(
 
 
 def _drape(x0: float, width: float, y: float, z0: float, height: float, u: Array, v: Array) -> Array:
-    """Cloth that hangs in folds from x0 to x0 + width."""
+    """Return points of cloth that hangs in folds from x0 to x0 + width."""
     across = u if width > 0 else 1 - u  # the same side of the cloth faces the room on either end
     folds = 0.025 * np.sin(across * 26) * (1 - 0.5 * v)
     return np.stack([x0 + width * across, y - folds, z0 + height * v], -1)
 
 
 def door(w: float, d: float, h: float) -> Mesh:
-    """A closed door with four panels in its frame; w and h are the leaf's."""
+    """Build a closed door with four panels in its frame; w and h are the leaf's."""
     y = d / 2
     mesh = Mesh().box(-w / 2 - 0.08, y - 0.035, 0, -w / 2, y, h + 0.08, "white_paint", 0.006)
     mesh.box(w / 2, y - 0.035, 0, w / 2 + 0.08, y, h + 0.08, "white_paint", 0.006)
@@ -76,7 +76,7 @@ def door(w: float, d: float, h: float) -> Mesh:
 
 
 def basket(w: float, d: float, h: float, *, body: str = "wicker", fill: str = "towel_a") -> Mesh:
-    """A laundry basket, full."""
+    """Build a laundry basket, full."""
     sides = [(0, 0.40), (0.9, 0.48), (1.0, 0.5), (1.0, 0.45), (0.8, 0.43)]
     mesh = Mesh().loft([(h * z, w * r, d * r) for z, r in sides], body, exponent=3, sides=40)
     heap = [(0.78, 0.42, 2.5, 0, 0), (0.98, 0.36, 2.3, 0.01, 0), (1.08, 0.2, 2, -0.02, 0.02)]
@@ -84,7 +84,7 @@ def basket(w: float, d: float, h: float, *, body: str = "wicker", fill: str = "t
 
 
 def plant(w: float, d: float, h: float, *, pot: str = "accent", seed: int = 0) -> Mesh:
-    """A plant with long arching leaves in a pot."""
+    """Build a plant with long arching leaves in a pot."""
     rng = np.random.default_rng(seed)
     r = min(w, d) * 0.32
     outline = [(0, 0.7), (0.22, 1), (0.24, 1.05), (0.26, 1.05), (0.26, 0.9), (0.23, 0.88)]
@@ -97,7 +97,7 @@ def plant(w: float, d: float, h: float, *, pot: str = "accent", seed: int = 0) -
 
 
 def _blade(angle: float, rise: float, length: float, width: float, z0: float, u: Array, v: Array) -> Array:
-    """A leaf that grows from z0 on the axis up by ``rise`` and out by ``length``."""
+    """Return points of a leaf that grows from z0 on the axis up by ``rise`` and out by ``length``."""
     out, up = v**1.5 * length, z0 + rise * np.sin(v * 1.9)
     side = (u - 0.5) * (2 * width * np.sin(np.pi * np.clip(v, 0.03, 1) ** 0.8) + 1e-4)
     x, y = out * np.cos(angle) - side * np.sin(angle), out * np.sin(angle) + side * np.cos(angle)
@@ -105,7 +105,7 @@ def _blade(angle: float, rise: float, length: float, width: float, z0: float, u:
 
 
 def bottles(w: float, d: float, h: float, *, z: float = 0.0, seed: int = 0) -> Mesh:
-    """A row of bottles on a surface at height z."""
+    """Build a row of bottles on a surface at height z."""
     rng = np.random.default_rng(seed)
     colors = ("accent", "towel_a", "brass", "white_paint", "towel_b", "leaf")
     mesh = Mesh()
@@ -125,7 +125,7 @@ def bowl(
     body: str = "ceramic",
     fruit: tuple[str, ...] = ("towel_a", "leaf", "brass", "fruit"),
 ) -> Mesh:
-    """A bowl of fruit on a surface at height z."""
+    """Build a bowl of fruit on a surface at height z."""
     outline = [(0, 0.2), (0.6, 0.45), (1, 0.5), (1, 0.47), (0.5, 0.38), (0.15, 0.15)]
     mesh = Mesh().loft([(z + h * up, w * r, d * r) for up, r in outline], body, sides=36)
     for k in range(6 if fruit else 0):
@@ -134,7 +134,7 @@ def bowl(
 
 
 def vase(w: float, d: float, h: float, *, z: float = 0.0, body: str = "accent", seed: int = 0) -> Mesh:
-    """A vase of flowers on a surface at height z."""
+    """Build a vase of flowers on a surface at height z."""
     rng = np.random.default_rng(seed)
     neck = h * 0.45
     outline = [(0, 0.18), (0.4, 0.3), (0.85, 0.12), (1, 0.17)]
@@ -148,14 +148,14 @@ def vase(w: float, d: float, h: float, *, z: float = 0.0, body: str = "accent", 
 
 
 def rug(w: float, d: float, h: float, *, image: str = "rug", edge: str = "rug_edge") -> Mesh:
-    """A rug, h thick."""
+    """Build a rug, h thick."""
     mesh = Mesh().box(-w / 2, -d / 2, 0.001, w / 2, d / 2, h + 0.001, edge, 0.003)
     corners = [(-w / 2, -d / 2), (w / 2, -d / 2), (w / 2, d / 2), (-w / 2, d / 2)]
     return mesh.quad([(x, y, h + 0.002) for x, y in corners], image, image=True)
 
 
 def lamp(w: float, d: float, h: float, *, z: float = 0.0) -> Mesh:
-    """A lamp that stands on the floor or on a surface at height z; its shade, which glows, ends at height h."""
+    """Build a lamp that stands on the floor or on a surface at height z; its shade, which glows, ends at height h."""
     foot = [
         (z, w * 0.35, d * 0.35),
         (z + 0.02, w * 0.35, d * 0.35),
@@ -167,7 +167,7 @@ def lamp(w: float, d: float, h: float, *, z: float = 0.0) -> Mesh:
 
 
 def ceiling_lamp(w: float, d: float, h: float) -> Mesh:
-    """A lamp that hangs h metres down; here z = 0 is the ceiling."""
+    """Build a lamp that hangs h metres down; here z = 0 is the ceiling."""
     mesh = Mesh().cylinder(0, 0, -0.02, 0, w * 0.2, "chrome").cylinder(0, 0, -h + 0.04, 0, 0.012, "chrome", 12)
     mesh.loft([(-h, w * 0.46, d * 0.46), (-h + 0.05, w * 0.5, d * 0.5)], "chrome", sides=40, bottom=False)
     angle = np.linspace(0, 2 * np.pi, 41)

@@ -6,7 +6,7 @@ from dirl.sources.rooms.mesh import Array, Mesh, fan
 
 
 def bathtub(w: float, d: float, h: float) -> Mesh:
-    """A free-standing tub, its taps on the right."""
+    """Build a free-standing tub, its taps on the right."""
     rings: list[tuple[float, ...]] = [
         (0.02, w * 0.46, d * 0.44),
         (h * 0.5, w * 0.485, d * 0.475),
@@ -31,7 +31,7 @@ def bathtub(w: float, d: float, h: float) -> Mesh:
 
 
 def toilet(w: float, d: float, h: float) -> Mesh:
-    """A toilet with its cistern at the back."""
+    """Build a toilet with its cistern at the back."""
     bowl = -d * 0.12
     foot: list[tuple[float, ...]] = [
         (0.0, w * 0.30, d * 0.25, 3, 0, 0.08),
@@ -51,7 +51,7 @@ def toilet(w: float, d: float, h: float) -> Mesh:
 def vanity(
     w: float, d: float, h: float, *, body: str = "wood", top: str = "marble", basins: int = 1, doors: int = 4
 ) -> Mesh:
-    """A cabinet with basins on top."""
+    """Build a cabinet with basins on top."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.03, 0.08, w / 2, d / 2, h - 0.04, body, 0.006)
     mesh.box(-w / 2 + 0.03, -d / 2 + 0.08, 0, w / 2 - 0.03, d / 2, 0.1, "dark", 0)
     mesh.box(-w / 2 - 0.01, -d / 2, h - 0.04, w / 2 + 0.01, d / 2, h, top, 0.008)
@@ -74,7 +74,7 @@ def vanity(
 
 
 def shower(w: float, d: float, h: float, *, curtain: str = "shower_curtain") -> Mesh:
-    """A tray in a corner with a rail at height h, a half-drawn curtain and a shower head."""
+    """Build a tray in a corner with a rail at height h, a half-drawn curtain and a shower head."""
     mesh = Mesh().box(-w / 2, -d / 2, 0, w / 2, d / 2, 0.12, "ceramic", 0.02)
     mesh.tube([(-w / 2, -d / 2 + 0.02, h), (w / 2 - 0.02, -d / 2 + 0.02, h), (w / 2 - 0.02, d / 2, h)], 0.013, "chrome")
     pipe = [(0.03, 1.0), (0.03, 2.1), (0.08, 2.15), (0.3, 2.12)]
@@ -89,7 +89,7 @@ def shower(w: float, d: float, h: float, *, curtain: str = "shower_curtain") -> 
 
 
 def washer(w: float, d: float, h: float) -> Mesh:
-    """A washing machine."""
+    """Build a washing machine."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.02, 0.01, w / 2, d / 2, h, "appliance", 0.015)
     y, z, radius = -d / 2 + 0.02, h * 0.46, min(w, h) * 0.3
     angle = np.linspace(0, 2 * np.pi, 41)
@@ -100,7 +100,7 @@ def washer(w: float, d: float, h: float) -> Mesh:
 
 
 def towel_rail(w: float, d: float, h: float, *, towel: str = "towel_a", drop: float = 0.75) -> Mesh:
-    """A rail at height h with a towel over it that hangs down by ``drop`` metres."""
+    """Build a rail at height h with a towel over it that hangs down by ``drop`` metres."""
     y = d / 2 - 0.07
     mesh = Mesh().tube([(-w / 2, y, h), (w / 2, y, h)], 0.012, "chrome")
     for side in (-1, 1):
@@ -129,7 +129,7 @@ def counter(
     sink: bool = False,
     hob: bool = False,
 ) -> Mesh:
-    """A base unit with a worktop; with a sink, or with a hob and an oven below."""
+    """Build a base unit with a worktop; with a sink, or with a hob and an oven below."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.04, 0.1, w / 2, d / 2, h - 0.04, body, 0.004)
     mesh.box(-w / 2, -d / 2 + 0.09, 0, w / 2, d / 2, 0.1, "dark", 0)
     mesh.box(-w / 2 - 0.005, -d / 2, h - 0.04, w / 2 + 0.005, d / 2, h, top, 0.008)
@@ -151,7 +151,7 @@ def counter(
 
 
 def _hob(mesh: Mesh, d: float, h: float) -> None:
-    """Four plates, a pot on one of them, and the oven."""
+    """Build four plates, a pot on one of them, and the oven."""
     mesh.box(-0.3, -0.26, h, 0.3, 0.24, h + 0.01, "glass_dark", 0.004)
     for x in (-0.15, 0.15):
         for y in (-0.13, 0.12):
@@ -165,7 +165,7 @@ def _hob(mesh: Mesh, d: float, h: float) -> None:
 
 
 def fridge(w: float, d: float, h: float, *, body: str = "steel") -> Mesh:
-    """A fridge over a freezer, its handles on the right."""
+    """Build a fridge over a freezer, its handles on the right."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.075, 0.03, w / 2, d / 2, h, body, 0.01)
     for z0, z1 in ((0.05, h * 0.36), (h * 0.37, h)):
         mesh.box(-w / 2, -d / 2, z0, w / 2, -d / 2 + 0.07, z1, body, 0.015)
@@ -177,7 +177,7 @@ def fridge(w: float, d: float, h: float, *, body: str = "steel") -> Mesh:
 def wall_cupboard(
     w: float, d: float, h: float, *, z: float = 1.45, body: str = "wood", doors: int = 2, glass: bool = False
 ) -> Mesh:
-    """A hanging cupboard, its lower edge at height z; glass doors show what looks like crockery."""
+    """Build a hanging cupboard, its lower edge at height z; glass doors show what looks like crockery."""
     mesh = Mesh().box(-w / 2, -d / 2 + 0.02, z, w / 2, d / 2, z + h, body, 0.004)
     panel = "books" if glass else body
     for i in range(doors):
@@ -190,7 +190,7 @@ def wall_cupboard(
 
 
 def hood(w: float, d: float, h: float, *, z: float = 1.6) -> Mesh:
-    """An extractor hood with its chimney, its lower edge at height z."""
+    """Build an extractor hood with its chimney, its lower edge at height z."""
     rings: list[tuple[float, ...]] = [
         (z, w / 2, d / 2, 12),
         (z + 0.06, w / 2, d / 2, 12),

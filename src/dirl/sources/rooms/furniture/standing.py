@@ -12,7 +12,7 @@ CONTENTS = ("books", "towels", "basket", "vases")
 def bed(
     w: float, d: float, h: float, *, frame: str = "wood", duvet: str = "duvet", pillow: str = "pillow", throw: str = ""
 ) -> Mesh:
-    """A bed with its head at the back, h high; with a throw over the foot if one is named."""
+    """Build a bed with its head at the back, h high; with a throw over the foot if one is named."""
     mesh = Mesh().box(-w / 2, -d / 2, 0.12, w / 2, d / 2, 0.32, frame, 0.01)
     mesh.box(-w / 2 - 0.02, d / 2 - 0.06, 0, w / 2 + 0.02, d / 2, h, frame, 0.02)
     for x in (-w / 2 + 0.06, w / 2 - 0.06):
@@ -46,7 +46,7 @@ def bed(
 
 
 def sofa(w: float, d: float, h: float, *, fabric: str = "sofa", seats: int = 3, cushion: tuple[str, ...] = ()) -> Mesh:
-    """A sofa, or with one seat an armchair; a cushion of each material named, left and right in turn."""
+    """Build a sofa, or with one seat an armchair; a cushion of each material named, left and right in turn."""
     arm = 0.18
     mesh = Mesh().box(-w / 2 + 0.02, -d / 2 + 0.05, 0.1, w / 2 - 0.02, d / 2, 0.30, fabric, 0.03)
     for side in (-1, 1):
@@ -74,7 +74,7 @@ def _cushion(mesh: Mesh, x: float, y: float, material: str) -> None:
 
 
 def tv(w: float, d: float, h: float, *, z: float = 0.55) -> Mesh:
-    """A television on a foot at height z; h is the screen's height."""
+    """Build a television on a foot at height z; h is the screen's height."""
     mesh = Mesh().box(-w / 2, 0.0, z + 0.06, w / 2, 0.05, z + 0.06 + h, "dark", 0.01)
     depth = min(d / 2, 0.1)
     mesh.box(-w * 0.2, -depth, z, w * 0.2, depth, z + 0.015, "dark", 0.004)
@@ -84,7 +84,7 @@ def tv(w: float, d: float, h: float, *, z: float = 0.55) -> Mesh:
 
 
 def fireplace(w: float, d: float, h: float, *, body: str = "brick") -> Mesh:
-    """A burning fireplace with a mantelpiece."""
+    """Build a burning fireplace with a mantelpiece."""
     half, front, back = w * 0.28, -d / 2 + 0.08, d / 2
     mesh = Mesh().box(-w / 2, front, 0, -half, back, h - 0.08, body, 0.004)
     mesh.box(half, front, 0, w / 2, back, h - 0.08, body, 0.004)
@@ -103,7 +103,7 @@ def fireplace(w: float, d: float, h: float, *, body: str = "brick") -> Mesh:
 def cabinet(
     w: float, d: float, h: float, *, body: str = "wood", panel: str = "", doors: int = 2, rows: int = 1
 ) -> Mesh:
-    """Doors, or with several rows drawers, side by side; doors have a panel of another material if one is named."""
+    """Build doors, or with several rows drawers, side by side; doors with a panel of another material if named."""
     legs = 0.06
     mesh = Mesh().box(-w / 2, -d / 2 + 0.02, legs, w / 2, d / 2, h, body, 0.006)
     for i in range(doors):
@@ -128,7 +128,7 @@ def cabinet(
 def shelf(
     w: float, d: float, h: float, *, body: str = "wood", shelves: int = 4, contents: tuple[str, ...] = CONTENTS
 ) -> Mesh:
-    """An open shelf; ``contents`` says what lies on the boards from the lowest up, in turn."""
+    """Build an open shelf; ``contents`` says what lies on the boards from the lowest up, in turn."""
     board = 0.022
     mesh = Mesh().box(-w / 2, -d / 2, 0, -w / 2 + board, d / 2, h, body, 0.004)
     mesh.box(w / 2 - board, -d / 2, 0, w / 2, d / 2, h, body, 0.004)
@@ -165,7 +165,7 @@ def _fill(mesh: Mesh, what: str, x: float, y: float, z: float, room: float) -> N
 
 
 def table(w: float, d: float, h: float, *, body: str = "wood", top: str = "") -> Mesh:
-    """A table on four legs; its top of another material if one is named."""
+    """Build a table on four legs; its top of another material if one is named."""
     mesh = Mesh().box(-w / 2, -d / 2, h - 0.04, w / 2, d / 2, h, top or body, 0.01)
     mesh.box(-w / 2 + 0.06, -d / 2 + 0.06, h - 0.12, w / 2 - 0.06, d / 2 - 0.06, h - 0.04, body, 0.004)
     for x, y in product((-w / 2 + 0.09, w / 2 - 0.09), (-d / 2 + 0.09, d / 2 - 0.09)):
@@ -174,7 +174,7 @@ def table(w: float, d: float, h: float, *, body: str = "wood", top: str = "") ->
 
 
 def round_table(w: float, d: float, h: float, *, body: str = "wood", top: str = "") -> Mesh:
-    """A round table on a pillar."""
+    """Build a round table on a pillar."""
     plate = [(h - 0.035, w / 2 - 0.01, d / 2 - 0.01), (h - 0.01, w / 2, d / 2), (h, w / 2 - 0.01, d / 2 - 0.01)]
     pillar = [
         (0, w * 0.28, d * 0.28),
@@ -187,7 +187,7 @@ def round_table(w: float, d: float, h: float, *, body: str = "wood", top: str = 
 
 
 def chair(w: float, d: float, h: float, *, body: str = "wood", seat: str = "", slats: int = 4) -> Mesh:
-    """A chair with its back at the back; no slats make the back a board."""
+    """Build a chair with its back at the back; no slats make the back a board."""
     z = 0.45
     mesh = Mesh().box(-w / 2, -d / 2, z - 0.035, w / 2, d / 2, z, seat or body, 0.015)
     for side in (-1, 1):
@@ -203,7 +203,7 @@ def chair(w: float, d: float, h: float, *, body: str = "wood", seat: str = "", s
 
 
 def stool(w: float, d: float, h: float, *, body: str = "wood") -> Mesh:
-    """A stool on four splayed legs."""
+    """Build a stool on four splayed legs."""
     seat = [(h - 0.04, w * 0.46, d * 0.46), (h - 0.01, w / 2, d / 2), (h, w * 0.48, d * 0.48)]
     mesh = Mesh().loft(seat, body, exponent=4, sides=40)
     for x, y in product((-w, w), (-d, d)):

@@ -68,7 +68,7 @@ class Draft:
         return round(float(self.rng.uniform(low, high)), 2)
 
     def any_seed(self) -> int:
-        """For a piece that is sampled at random itself."""
+        """Draw the seed of a piece that is sampled at random itself."""
         return int(self.rng.integers(*self.style.repertoire.seeds))
 
     def from_wall(self, wall: str, along: float, away: float) -> tuple[float, float]:
@@ -76,7 +76,7 @@ class Draft:
         return rounded(place_of(Piece("", (0.0, 0.0, 0.0), wall=wall, along=along, off=away), self.size))
 
     def length(self, wall: str) -> float:
-        """Of a wall, metres."""
+        """Return the length of a wall, metres."""
         return self.size[0] if wall in ("north", "south") else self.size[1]
 
     def against_wall(
@@ -128,15 +128,15 @@ class Draft:
         self.put(Piece(kind, size, at=rounded(at), yaw=yaw, solid=False, options=options))
 
     def door(self) -> str:
-        """Put a door, and keep the space before it free; tells in which wall."""
+        """Put a door, keep the space before it free, and return its wall."""
         size = (float(self.rng.choice([0.85, 0.9])), 0.08, 2.05)
-        made = self.against_wall("door", size)
-        assert made is not None  # nothing else is in the room yet
-        assert made.wall is not None
-        start, end = door_strip(made, self.size)
+        door = self.against_wall("door", size)
+        assert door is not None  # nothing else is in the room yet
+        assert door.wall is not None
+        start, end = door_strip(door, self.size)
         low, high = np.minimum(start, end) - 0.3, np.maximum(start, end) + 0.3
         self.kept_free.append(np.array([*low, 0.0, *high, 2.0]))
-        return made.wall
+        return door.wall
 
     def keep_front_free(self, piece: Piece, depth: float = PASSAGE) -> None:
         """Keep the floor in front of a piece clear of what is put later."""
@@ -218,11 +218,11 @@ def _bounds(kind: str, size: Size, yaw: float, options: tuple[tuple[str, object]
 
 
 def _meets(a: Array, b: Array, gap: float) -> bool:
-    """True if two boxes come nearer than a gap, seen from above, and overlap in height."""
+    """Return True if two boxes come nearer than a gap, seen from above, and overlap in height."""
     plan = (a[:2] < b[3:5] + gap).all() and (b[:2] < a[3:5] + gap).all()
     return bool(plan and a[2] < b[5] - 1e-3 and b[2] < a[5] - 1e-3)
 
 
 def rounded(at: tuple[float, ...]) -> tuple[float, float]:
-    """Rounded to centimetres, for readable descriptions."""
+    """Round to centimetres, for readable descriptions."""
     return round(float(at[0]), 2), round(float(at[1]), 2)

@@ -22,7 +22,7 @@ from dirl.sources.rooms.sampling.groups import (
 
 
 def bathroom(draft: Draft, door: str) -> None:
-    """Tub or shower, toilet, vanity with a mirror; often a washing machine, shelves, towels."""
+    """Put tub or shower, toilet, vanity with a mirror; often a washing machine, shelves, towels."""
     rng, style = draft.rng, draft.style
     windows(draft, door, int(rng.integers(1, 3)), curtains=0.2)
     tub = None
@@ -51,7 +51,7 @@ def bathroom(draft: Draft, door: str) -> None:
 
 
 def bedroom(draft: Draft, door: str) -> None:
-    """A bed with nightstands, a wardrobe; often a desk, a chest of drawers, an armchair, shelves."""
+    """Put a bed with nightstands, a wardrobe; often a desk, a chest of drawers, an armchair, shelves."""
     rng, style = draft.rng, draft.style
     windows(draft, door, int(rng.integers(1, 4)), curtains=0.85)
     width, wood = float(rng.choice([1.0, 1.4, 1.6, 1.8])), style.wood()
@@ -82,7 +82,7 @@ def bedroom(draft: Draft, door: str) -> None:
 
 
 def nightstand(draft: Draft, wall: str, along: float, wood: str) -> None:
-    """A small cabinet with a lamp or a vase on it, if there is room."""
+    """Put a small cabinet with a lamp or a vase on it, if there is room."""
     rng = draft.rng
     options = {"rows": 2, "doors": 1, "body": wood}
     stand = Piece("cabinet", (0.5, 0.42, 0.55), wall=wall, along=along, options=options)
@@ -95,7 +95,7 @@ def nightstand(draft: Draft, wall: str, along: float, wood: str) -> None:
 
 
 def kitchen(draft: Draft, door: str) -> None:
-    """One or two runs of counters, a dining table; in a large room an island."""
+    """Put one or two runs of counters, a dining table; in a large room an island."""
     rng, style = draft.rng, draft.style
     units = {"body": style.wood(), "top": style.worktop()}
     walls = [str(side) for side in rng.permutation([side for side in SIDES if side != door])]
@@ -122,7 +122,7 @@ def kitchen(draft: Draft, door: str) -> None:
 
 
 def living_room(draft: Draft, door: str) -> None:
-    """A sofa before a television, armchairs around a low table; often a fireplace, a dining table, shelves."""
+    """Put a sofa before a television, armchairs around a low table; often a fireplace, a dining table, shelves."""
     rng, style = draft.rng, draft.style
     sitting(draft)
     if rng.random() < 0.55:

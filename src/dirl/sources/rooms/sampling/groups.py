@@ -8,21 +8,21 @@ from dirl.sources.rooms.sampling.draft import Draft, rounded
 
 
 def windows(draft: Draft, door: str, count: int, *, curtains: float) -> None:
-    """Windows with different outlooks, rather not beside the door."""
+    """Put windows with different outlooks, rather not beside the door."""
     rng = draft.rng
     for _ in range(count):
         width, height = draft.between(1.1, 2.0), draft.between(1.0, 1.3)
         panes = (int(rng.integers(2, 5)), int(rng.integers(1, 3)))
         curtain = draft.style.cloth() if rng.random() < curtains else ""
         walls = tuple(side for side in SIDES if side != door)
-        made = draft.against_wall("window", (width, 0.1, height), walls=walls, z=draft.between(1.6, 1.75), panes=panes,
+        piece = draft.against_wall("window", (width, 0.1, height), walls=walls, z=draft.between(1.6, 1.75), panes=panes,
                                   curtain=curtain, outlook=draft.style.outlook())  # fmt: skip
-        if made is None:  # a smaller one may fit
+        if piece is None:  # a smaller one may fit
             draft.against_wall("window", (0.9, 0.1, 0.9), z=1.75, outlook=draft.style.outlook())
 
 
 def shower(draft: Draft) -> None:
-    """A shower in a corner, the wall on the left of who stands in it with the back to its own wall."""
+    """Put a shower in a corner, the wall on the left of who stands in it with the back to its own wall."""
     rng = draft.rng
     patterns = draft.style.repertoire.wallpapers
     pattern = "leaf" if "leaf" in patterns else patterns[0]
@@ -40,14 +40,14 @@ def chest(draft: Draft, width: float) -> Piece | None:
     rows = int(draft.rng.integers(1, 5))
     size = (width, 0.46, draft.between(0.75, 0.98))
     doors = max(1, round(width / 0.5))
-    made = draft.against_wall("cabinet", size, free=True, body=draft.style.wood(), rows=rows, doors=doors)
-    if made is not None:
-        draft.on_top(made, "bottles", (0.3, 0.2, 0.26), shift=round(width / 4, 2), seed=draft.any_seed())
-    return made
+    placed = draft.against_wall("cabinet", size, free=True, body=draft.style.wood(), rows=rows, doors=doors)
+    if placed is not None:
+        draft.on_top(placed, "bottles", (0.3, 0.2, 0.26), shift=round(width / 4, 2), seed=draft.any_seed())
+    return placed
 
 
 def desk(draft: Draft) -> None:
-    """A desk at a wall with a chair before it and a lamp on it."""
+    """Put a desk at a wall, a chair before it and a lamp on it."""
     rng, style = draft.rng, draft.style
     desk = draft.against_wall("table", (draft.between(1.1, 1.5), 0.65, 0.76), body=style.wood())
     if desk is None or desk.wall is None or desk.along is None:
@@ -67,7 +67,7 @@ def tucked(draft: Draft, chair: Piece) -> None:
 
 
 def dining(draft: Draft) -> None:
-    """A table in the room with chairs around it, a rug below, something on it."""
+    """Put a table in the room with chairs around it, a rug below, something on it."""
     rng, style = draft.rng, draft.style
     chairs = int(rng.integers(2, 5))
     body, top, seat, wood = style.wood(), style.wood(), style.cloth(), style.wood()
@@ -104,7 +104,7 @@ def dining(draft: Draft) -> None:
 
 
 def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> None:
-    """A run of counters along a wall from one of its ends; the full one has sink, hob and fridge."""
+    """Put a run of counters along a wall from one of its ends; the full one has sink, hob and fridge."""
     rng = draft.rng
     run: list[tuple[str, dict[str, object]]] = [
         ("counter", {"sink": True}),
@@ -148,7 +148,7 @@ def counters(draft: Draft, wall: str, units: dict[str, str], *, full: bool) -> N
 
 
 def sitting(draft: Draft) -> None:
-    """Television at a wall, sofa facing it, a low table and armchairs between, all on a rug."""
+    """Put a television at a wall, a sofa facing it, a low table and armchairs between, all on a rug."""
     rng, style = draft.rng, draft.style
     for _ in range(30):
         wall = str(rng.choice(SIDES))
@@ -208,7 +208,7 @@ def shelves(draft: Draft, count: int, *, contents: tuple[str, ...] = ("books", "
 
 
 def corner_things(draft: Draft) -> None:
-    """Plants, baskets and stools in corners and along walls."""
+    """Put plants, baskets and stools in corners and along walls."""
     rng = draft.rng
     for kind in rng.choice(["plant", "plant", "basket", "stool"], int(rng.integers(1, 4)), replace=False):
         if kind == "plant":

@@ -8,16 +8,16 @@ import numpy as np
 
 from dirl.scenes.io.files import check_choice
 from dirl.scenes.scene import SceneError
-from dirl.sources.rooms.build import View, poses, take_views, view_problems
 from dirl.sources.rooms.checks import check_room
 from dirl.sources.rooms.description import Grid, RoomDescription
+from dirl.sources.rooms.dump import View, poses, take_views, view_problems
 from dirl.sources.rooms.layout import assemble
-from dirl.sources.rooms.navigation import walk
 from dirl.sources.rooms.sampling import furnishing
 from dirl.sources.rooms.sampling.draft import Draft, rounded
 from dirl.sources.rooms.sampling.splits import repertoire_of
 from dirl.sources.rooms.sampling.styles import Style
 from dirl.sources.rooms.view import Renderer
+from dirl.sources.rooms.walkable import walk
 
 ATTEMPTS = 60
 """Rooms that are sampled before giving up. About one in three passes."""
@@ -90,15 +90,15 @@ def sample_views(
 def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
     """Return a random room, unchecked."""
     rng = np.random.default_rng([zlib.crc32(kind.encode()), seed, attempt])
-    made = KINDS[kind]
-    width, depth = (round(float(rng.uniform(*made.extent)), 1) for _ in range(2))
+    room_kind = KINDS[kind]
+    width, depth = (round(float(rng.uniform(*room_kind.extent)), 1) for _ in range(2))
     size = (width, depth, round(float(rng.uniform(2.5, 2.9)), 2))
-    style = Style(rng, wet=made.wet, repertoire=repertoire_of(seed))
+    style = Style(rng, wet=room_kind.wet, repertoire=repertoire_of(seed))
     walls, floor = style.walls(size[2]), style.floor()
     skirting = "white_paint" if rng.random() < 0.6 else style.wood()
     draft = Draft(size, style, rng)
-    made.furnish(draft, draft.door())
-    draft.lamps(made.per_lamp)
+    room_kind.furnish(draft, draft.door())
+    draft.lamps(room_kind.per_lamp)
     draft.dress_walls()
     room = RoomDescription(
         name=f"{kind}_{seed}",
@@ -112,7 +112,7 @@ def draw_room(kind: str, seed: int, attempt: int = 0) -> RoomDescription:
         grid=Grid(rounded(tuple(0.25 + (length - 0.5) % 0.5 / 2 for length in size[:2]))),
     )
     used = {part.material for part in assemble(room)}
-    room = replace(room, materials={name: one for name, one in style.materials.items() if name in used})
+    room = replace(room, materials={name: style.materials[name] for name in style.materials if name in used})
     try:
         places = len(walk(room).places)
     except SceneError:  # no place at all: what the checks will say

@@ -49,7 +49,7 @@ class Style:
         return tuple(self.color(hue=self.hues[k % 3], value=float(value)) for k, value in enumerate(values))
 
     def wood(self) -> str:
-        """One of the room's three woods, or now and then painted wood."""
+        """Choose one of the room's three woods, or now and then painted wood."""
         if self.rng.random() < 0.25:
             return self.add(Material("plain", {"color": self.color(), "var": 0.06}, rough=0.4, resolution=128), "paint")
         return str(self.rng.choice(["wood", "wood_dark", "wood_c"]))
@@ -66,7 +66,7 @@ class Style:
         return self.add(Material("fabric", options, size=self.rng.uniform(0.5, 0.9), rough=0.95), "cloth")
 
     def worktop(self) -> str:
-        """Stone or wood for a worktop."""
+        """Choose stone or wood for a worktop."""
         if self.rng.random() < 0.3:
             return self.wood()
         light = self.rng.random() < 0.6
@@ -102,7 +102,7 @@ class Style:
         return self.add(Material(kind, self._scenery(kind), size=0, emit=light, glow=1.5), "outlook")
 
     def walls(self, height: float) -> dict[str, tuple[Band, ...]]:
-        """Four walls, some with a dado, each with another pattern as long as there are enough."""
+        """Choose four walls, some with a dado, each with another pattern as long as there are enough."""
         patterns = [str(p) for p in self.rng.permutation(self.repertoire.wallpapers)]
         dado, dado_height = self.rng.random() < (0.7 if self.wet else 0.4), float(self.rng.choice([0.9, 1.0, 1.2, 1.5]))
         walls: dict[str, tuple[Band, ...]] = {}
@@ -123,16 +123,16 @@ class Style:
         return walls
 
     def floor(self) -> str:
-        """Boards or parquet, or where it is wet tiles."""
+        """Choose boards or parquet, or where it is wet tiles."""
         kinds = self.repertoire.wet_floors if self.wet else self.repertoire.floors
         kind, size = str(self.rng.choice(kinds)), self.rng.uniform(1.6, 2.4)
         if kind in ("planks", "herringbone"):
             a, b = self._one_wood("oak", "teak", "walnut", "ash", "mahogany", "birch")
             rows = int(self.rng.integers(5, 10))
-            made = Material(kind, {"a": a, "b": b, "rows": rows}, rough=0.3, size=size, resolution=1024)
+            material = Material(kind, {"a": a, "b": b, "rows": rows}, rough=0.3, size=size, resolution=1024)
         elif kind == "terrazzo":
             options: dict[str, object] = {"ground": self.color(saturation=0.1, value=0.85), "colors": self.colors(4)}
-            made = Material(kind, options, rough=0.25, size=1.4, resolution=1024)
+            material = Material(kind, options, rough=0.25, size=1.4, resolution=1024)
         else:
             light, dark = self.color(saturation=0.12, value=0.88), self.color(saturation=0.4, value=0.5)
             colors: tuple[str, ...] = (light, dark)
@@ -140,8 +140,8 @@ class Style:
                 colors = (dark, *[self.color(saturation=0.3, value=value) for value in (0.58, 0.66, 0.74)])
             n = 2 * int(self.rng.integers(2, 4))
             options = {"colors": colors, "checker": kind == "checker", "nx": n, "ny": n, "grout": light}
-            made = Material("tile", options, rough=0.25, size=size, resolution=1024)
-        return self.add(made, "floor")
+            material = Material("tile", options, rough=0.25, size=size, resolution=1024)
+        return self.add(material, "floor")
 
     def _one_wood(self, *names: str) -> tuple[str, str]:
         """Return the colours of one of some woods that is in the repertoire."""
@@ -153,7 +153,7 @@ class Style:
         self.materials[name] = Material("wood", {"a": a, "b": b}, seed=seed, size=size, rough=rough)
 
     def _recolor(self) -> None:
-        """The room's own version of things in stock."""
+        """Give things in stock the room's own colours."""
         for name in ("accent", "pot", "towel_a", "towel_b", "sofa", "fruit"):
             stock = STOCK[name]
             color = self.color(value=self.rng.uniform(0.45, 0.8))
@@ -167,7 +167,7 @@ class Style:
             self.materials["ceiling"] = replace(STOCK["ceiling"], options={"color": warm, "var": 0.03})
 
     def paper(self, kind: str, hue: float) -> str:
-        """Wallpaper, or cloth printed like it."""
+        """Choose wallpaper, or cloth printed like it."""
         dark = self.rng.random() < 0.25
         ground = self.color(hue=hue, saturation=0.5 if dark else 0.14, value=0.42 if dark else 0.9)
         motif = self.color(hue=hue, saturation=0.35, value=0.68 if dark else 0.6)

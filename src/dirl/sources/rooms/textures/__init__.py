@@ -6,8 +6,8 @@ Each returns sRGB values in [0, 1], float64 ``[n, n, 3]``; row 0 is the top. Tho
 from collections.abc import Callable
 
 from dirl.sources.rooms.mesh import functions_of
-from dirl.sources.rooms.textures import pictures, surfaces
+from dirl.sources.rooms.textures import artwork, surfaces
 from dirl.sources.rooms.textures.noise import Array
 
-TEXTURES: dict[str, Callable[..., Array]] = functions_of(surfaces, pictures)
+TEXTURES: dict[str, Callable[..., Array]] = functions_of(surfaces, artwork)
 """The textures by the names that room descriptions use (`kind` of a material)."""

@@ -9,26 +9,26 @@ Array = np.ndarray
 
 
 def rgb(color: str) -> Array:
-    """A colour such as ``#d94f30`` as sRGB values in [0, 1], float64 ``[3]``; ValueError if the text is none."""
+    """Return a colour such as ``#d94f30`` as sRGB in [0, 1], float64 ``[3]``; ValueError if the text is none."""
     if not re.fullmatch("#[0-9a-fA-F]{6}", color):
         raise ValueError(f"'{color}' is no colour; write e.g. '#d94f30'")
     return np.array(ImageColor.getrgb(color)) / 255.0
 
 
 def palette(colors: tuple[str, ...]) -> Array:
-    """Several colours, float64 ``[k, 3]``."""
+    """Return several colours, float64 ``[k, 3]``."""
     if not colors:
         raise ValueError("colors: name at least one")
     return np.stack([rgb(color) for color in colors])
 
 
 def mix(a: Array, b: Array, share: Array) -> Array:
-    """From colour ``a`` to ``b``; ``share`` is ``b``'s, ``[h, w]``."""
+    """Mix colours ``a`` and ``b``; ``share`` is ``b``'s, ``[h, w]``."""
     return a * (1 - share[..., None]) + b * share[..., None]
 
 
 def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx: int, octaves: int = 5) -> Array:
-    """Value noise in [0, 1] that repeats seamlessly, float64 ``[height, width]``.
+    """Return value noise in [0, 1] that repeats seamlessly, float64 ``[height, width]``.
 
     Of the coarsest octave there are ``fy`` cells along the rows and ``fx`` along the columns; every further octave
     doubles them and weighs half. Those finer than a pixel are left out, but for the first.

@@ -5,7 +5,7 @@ import numpy as np
 from dirl.sources.rooms.textures.noise import Array, Canvas, mix, palette, rgb
 
 GROUND, MOTIF, ACCENT = "#dfe6dc", "#7f9f86", "#c58a5b"
-"""Of wallpapers."""
+"""Colours of wallpapers."""
 
 
 def plain(c: Canvas, *, color: str = "#dddddd", var: float = 0.04) -> Array:
@@ -15,7 +15,7 @@ def plain(c: Canvas, *, color: str = "#dddddd", var: float = 0.04) -> Array:
 
 
 def wood(c: Canvas, *, a: str = "#8a5a33", b: str = "#c99a66", rings: float = 7.0) -> Array:
-    """Grain along the columns, from the dark colour ``a`` to the light ``b``."""
+    """Draw grain along the columns, from the dark colour ``a`` to the light ``b``."""
     warp = c.noise(4, 2, 4)
     fine = c.noise(min(96, c.n), 4, 3)
     ring = np.sin(2 * np.pi * (round(rings) * c.v + 2.2 * warp)) * 0.5 + 0.5
@@ -24,7 +24,7 @@ def wood(c: Canvas, *, a: str = "#8a5a33", b: str = "#c99a66", rings: float = 7.
 
 
 def planks(c: Canvas, *, a: str = "#7c5230", b: str = "#bf8f5c", rows: int = 6) -> Array:
-    """Floor boards in rows, two boards long, each of its own tone, with dark seams."""
+    """Draw floor boards in rows, two boards long, each of its own tone, with dark seams."""
     grain = wood(c, a=a, b=b, rings=rows * 1.6)
     row = (c.v * rows).astype(int)
     along = c.u * 2 + c.rng.random(rows)[row]
@@ -35,7 +35,7 @@ def planks(c: Canvas, *, a: str = "#7c5230", b: str = "#bf8f5c", rows: int = 6) 
 
 
 def herringbone(c: Canvas, *, a: str = "#7c5230", b: str = "#bf8f5c", rows: int = 8) -> Array:
-    """Parquet laid in zigzags, ``rows`` boards across (made even, so that it repeats)."""
+    """Draw parquet laid in zigzags, ``rows`` boards across (made even, so that it repeats)."""
     rows += rows % 2
     column = np.floor(c.u * rows).astype(int)
     inside = c.u * rows - column
@@ -59,7 +59,7 @@ def tile(
     checker: bool = False,
     var: float = 0.10,
 ) -> Array:
-    """Tiles or bricks, ``ny`` rows of ``nx``, each of a random colour (in turn with ``checker``).
+    """Draw tiles or bricks, ``ny`` rows of ``nx``, each of a random colour (in turn with ``checker``).
 
     ``brick`` shifts every second row by half a tile, ``var`` is how much tiles differ in tone.
     """
@@ -81,7 +81,7 @@ def tile(
 def terrazzo(
     c: Canvas, *, ground: str = "#e8e4da", colors: tuple[str, ...] = ("#b5523b", "#3f5e5a", "#d9a441")
 ) -> Array:
-    """Chips of stone in cement."""
+    """Draw chips of stone in cement."""
     out = rgb(ground) * (0.94 + 0.12 * c.noise(16, 16, 4))[..., None]
     choices = palette(colors)
     for _ in range(220):
@@ -92,7 +92,7 @@ def terrazzo(
 
 
 def marble(c: Canvas, *, a: str = "#f4f1ec", b: str = "#8c8680", scale: int = 3) -> Array:
-    """Stone of colour ``a`` with veins of colour ``b``."""
+    """Draw stone of colour ``a`` with veins of colour ``b``."""
     warp = c.noise(scale, scale, 6)
     vein = np.clip(1 - np.abs(np.sin(2 * np.pi * (c.u + c.v + 2 * warp))) * 3.2, 0, 1) ** 1.5
     cloud = 0.35 * c.noise(4, 4, 5)
@@ -100,7 +100,7 @@ def marble(c: Canvas, *, a: str = "#f4f1ec", b: str = "#8c8680", scale: int = 3)
 
 
 def fabric(c: Canvas, *, color: str = "#31618c", color2: str = "#31618c", threads: int = 96, stripes: int = 0) -> Array:
-    """Woven cloth or wicker; with ``stripes`` of the second colour across the columns."""
+    """Draw woven cloth or wicker; with ``stripes`` of the second colour across the columns."""
     across, along = np.sin(2 * np.pi * threads * c.u), np.sin(2 * np.pi * threads * c.v)
     weave = 0.5 + 0.25 * across * np.sign(np.sin(np.pi * threads * c.v)) + 0.25 * along
     striped = (np.sin(2 * np.pi * stripes * c.v) > 0.2)[..., None]
@@ -110,19 +110,19 @@ def fabric(c: Canvas, *, color: str = "#31618c", color2: str = "#31618c", thread
 
 
 def gingham(c: Canvas, *, color: str = "#b8433a", ground: str = "#f4efe4", checks: int = 6) -> Array:
-    """Chequered cloth: bands of colour along both axes over a light ground."""
+    """Draw chequered cloth: bands of colour along both axes over a light ground."""
     bands = (np.floor(2 * checks * c.u) % 2 + np.floor(2 * checks * c.v) % 2) / 2
     shade = 0.9 + 0.2 * c.noise(32, 32, 3)
     return np.clip(mix(rgb(ground), rgb(color), bands) * shade[..., None], 0, 1)
 
 
 def leafy(c: Canvas, *, a: str = "#2f5d2a", b: str = "#7fb069") -> Array:
-    """The blade of a leaf."""
+    """Draw the blade of a leaf."""
     return mix(rgb(a), rgb(b), c.noise(8, 24, 4))
 
 
 def _somewhere(c: Canvas) -> tuple[Array, Array]:
-    """Coordinates of the pixels from a random point, turned by a random angle, ``[n, n]`` each."""
+    """Return pixel coordinates from a random point, turned by a random angle, ``[n, n]`` each."""
     cu, cv, angle = c.rng.random(), c.rng.random(), c.rng.random() * np.pi
     du, dv = (c.u - cu + 0.5) % 1 - 0.5, (c.v - cv + 0.5) % 1 - 0.5
     return du * np.cos(angle) + dv * np.sin(angle), dv * np.cos(angle) - du * np.sin(angle)
@@ -135,7 +135,7 @@ def _ground(c: Canvas, ground: str) -> Array:
 def damask(
     c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = ACCENT, nx: int = 3, ny: int = 4
 ) -> Array:
-    """Rosettes in rings, every second row shifted by half (``ny`` must be even to repeat)."""
+    """Draw rosettes in rings, every second row shifted by half (``ny`` must be even to repeat)."""
     out = _ground(c, ground)
     row = np.floor(c.v * ny)
     x, y = (c.u * nx + 0.5 * (row % 2)) % 1 - 0.5, (c.v * ny) % 1 - 0.5
@@ -148,7 +148,7 @@ def damask(
 
 
 def stripe(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = ACCENT, nx: int = 3) -> Array:
-    """Upright stripes, ``nx`` of them, edged in the accent."""
+    """Draw upright stripes, ``nx`` of them, edged in the accent."""
     out = _ground(c, ground)
     wave = np.sin(2 * np.pi * nx * c.u)
     out[wave > 0.35] = rgb(motif)
@@ -157,7 +157,7 @@ def stripe(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str =
 
 
 def leaf(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = ACCENT, leaves: int = 36) -> Array:
-    """Scattered leaves with a midrib in the accent."""
+    """Draw scattered leaves with a midrib in the accent."""
     out = _ground(c, ground)
     for _ in range(leaves):
         p, q = _somewhere(c)
@@ -168,7 +168,7 @@ def leaf(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = A
 
 
 def dots(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = ACCENT, nx: int = 5) -> Array:
-    """Dots in staggered rows, a few of them in the accent."""
+    """Draw dots in staggered rows, a few of them in the accent."""
     nx += nx % 2
     out = _ground(c, ground)
     row = np.floor(c.v * nx).astype(int)
@@ -182,7 +182,7 @@ def dots(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = A
 
 
 def trellis(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = ACCENT, nx: int = 4) -> Array:
-    """A lattice of diamonds with a small flower in each second one."""
+    """Draw a lattice of diamonds with a small flower in each second one."""
     out = _ground(c, ground)
     p, q = nx * (c.u + c.v), nx * (c.u - c.v)
     out[np.minimum(np.abs(p - np.round(p)), np.abs(q - np.round(q))) < 0.06] = rgb(motif)
@@ -193,7 +193,7 @@ def trellis(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str 
 
 
 def chevron(c: Canvas, *, ground: str = GROUND, motif: str = MOTIF, accent: str = ACCENT, nx: int = 4) -> Array:
-    """Zigzag bands, lined in the accent."""
+    """Draw zigzag bands, lined in the accent."""
     out = _ground(c, ground)
     band = (c.v * nx + 0.7 * np.abs((c.u * nx) % 1 - 0.5)) % 1
     out[band < 0.45] = rgb(motif)

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from dirl.scenes.graph import AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.scene import Scene, SceneError, check_name
 from dirl.sources.tours.alignment import LEAD, Alignment, align, least_squares, wrap
-from dirl.sources.tours.columns import Seen, columns, compare
+from dirl.sources.tours.rotation import Seen, columns, compare
 from dirl.sources.tours.tour import Tour
 
 Array = NDArray[np.float64]
@@ -122,10 +122,10 @@ def tour_scene(
 def _arrows(tour: Tour, graph: IntArray) -> Array:
     """Return where the arrow is that a move ahead follows, see `Converted`."""
     yaws, headings = tour.yaws(), len(graph) // len(tour.panoramas)
-    found = np.full(len(graph), np.nan)
+    arrows = np.full(len(graph), np.nan)
     for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
-        found[state] = yaws[state // headings, int(graph[state, AHEAD]) // headings]
-    return found.reshape(-1, headings)
+        arrows[state] = yaws[state // headings, int(graph[state, AHEAD]) // headings]
+    return arrows.reshape(-1, headings)
 
 
 def _scene_name(text: str) -> str:
@@ -156,8 +156,8 @@ def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Arr
 
 def _stated(tour: Tour) -> tuple[IntArray, Array]:
     """Return the panoramas that state headings, int64 ``[H]``, and the headings, degrees, float64 ``[H]``."""
-    found = [(index, one.heading) for index, one in enumerate(tour.panoramas) if one.heading is not None]
-    return np.array([index for index, _ in found], np.int64), np.array([heading for _, heading in found], np.float64)
+    stated = [(index, place.heading) for index, place in enumerate(tour.panoramas) if place.heading is not None]
+    return np.array([index for index, _ in stated], np.int64), np.array([heading for _, heading in stated], np.float64)
 
 
 def _zero(along: Array, turn: float) -> float:
@@ -183,7 +183,7 @@ def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
 
 
 def _compared(tour: Tour, aligned: Alignment) -> dict[tuple[int, int], Seen]:
-    """What the panoramas show of their headings at links that do not give them, or at all if loops do not close."""
+    """Compare panoramas at links that do not give their headings, or at all links if loops do not close."""
     links = tour.yaws()
     open_ = len(aligned.loops) > 0 and np.median(aligned.loops) > CLOSED
     doubtful = {*aligned.one_way, *(pair[:2] for pair in aligned.rejected)}
@@ -208,9 +208,9 @@ def _about_headings(
     if len(by_links.loops):
         yield f"headings: {len(by_links.loops)} loops of links {closing(by_links.loops)}"
     if seen:
-        told = sum(found.lead >= LEAD for found in seen.values())
+        clear = sum(pair.lead >= LEAD for pair in seen.values())
         after = f"; with that {len(aligned.loops)} loops {closing(aligned.loops)}" if len(aligned.loops) else ""
-        yield f"{told} of {len(seen)} pairs of panoramas that were compared show how they are turned{after}"
+        yield f"{clear} of {len(seen)} pairs of panoramas that were compared show how they are turned{after}"
     if not len(aligned.loops):
         yield "no links form a loop: nothing checks the headings"
     if aligned.rejected:
@@ -222,8 +222,8 @@ def _about_headings(
     known = set(aligned.part[_stated(tour)[0]].tolist())
     others = range(1, int(aligned.part.max()) + 1)
     for use, chosen in (
-        ("their stated headings are used", [one for one in others if {0, one} <= known]),
-        ("their headings cannot be aligned with the others'", [one for one in others if not {0, one} <= known]),
+        ("their stated headings are used", [part for part in others if {0, part} <= known]),
+        ("their headings cannot be aligned with the others'", [part for part in others if not {0, part} <= known]),
     ):
         if chosen:
             names = ", ".join(f"'{ids[index]}'" for index in np.flatnonzero(np.isin(aligned.part, chosen)))
@@ -234,7 +234,7 @@ def _about_headings(
 
 
 def link_ends(tour: Tour) -> tuple[IntArray, Array]:
-    """Start and end of every link, int64 ``[L, 2]``, and its yaw, degrees, float64 ``[L]``."""
+    """Return start and end of every link, int64 ``[L, 2]``, and its yaw, degrees, float64 ``[L]``."""
     yaws = tour.yaws()
     return np.array(list(yaws), np.int64).reshape(-1, 2), np.array(list(yaws.values()), float)
 

@@ -77,7 +77,7 @@ class ImageGraph(Panoramas):
         self._coasting = False
 
     def see(self, views: Tensor, action: int | None = None) -> int:
-        """Add an observation to the map: the node where the walker is now.
+        """Add an observation to the map and return the node where the walker is now.
 
         Args:
             views: described, ahead, right, back and left, float32 ``[4, F]``.
@@ -100,7 +100,7 @@ class ImageGraph(Panoramas):
         return node
 
     def locate(self, views: Tensor, action: int | None = None, least: float | None = None) -> int | None:
-        """The node that an observation is of, None if no node looks like it; `at` is what it was before.
+        """Return the node that an observation is of, None if no node looks like it; `at` does not change.
 
         Args:
             views: described, ahead, right, back and left, float32 ``[4, F]``.
@@ -117,17 +117,17 @@ class ImageGraph(Panoramas):
         return best if scores[best] > (self.threshold if least is None else least) else None
 
     def fits(self, scores: Tensor, node: int) -> bool:
-        """Whether a node that was expected is believed, by the `scores` of what is seen, float32 ``[N]``."""
+        """Return True if an expected node is believed, by the `scores` of what is seen, float32 ``[N]``."""
         return bool(scores[node] > self.keep and scores.max() <= scores[node] + self.margin)
 
     def alike(self, views: Tensor) -> list[int]:
-        """The nodes that an observation could be of, float32 ``[4, F]``; the most alike first."""
+        """Return the nodes that an observation, float32 ``[4, F]``, could be of, the most alike first."""
         scores = self.scores(views)
         possible = (scores > self.threshold) & (scores >= scores.max() - self.margin)
         return [node for node in scores.argsort(descending=True).tolist() if possible[node]]
 
     def follow(self, views: Tensor, action: int | None = None) -> int | None:
-        """The node where the walker is; None where nothing looks like what is seen, and then it may be anywhere.
+        """Return the node where the walker is; None where no node looks like what is seen: it may be anywhere.
 
         No panoramas are added; a move that led elsewhere twice is corrected.
         """
@@ -147,7 +147,7 @@ class ImageGraph(Panoramas):
         self.at, self._coasting = None, False
 
     def frontier_action(self) -> int | None:
-        """What to do next to learn more: the first action on a shortest path to one whose outcome is not known.
+        """Return the first action on a shortest path to an action whose outcome is not known.
 
         None if everything that can be reached is known, or nothing was seen yet.
         """
@@ -177,7 +177,7 @@ class ImageGraph(Panoramas):
         self.at = None if self.at is None else same.get(self.at, self.at)
 
     def _expected(self, action: int | None) -> int:
-        """Where the walker must be after an action by the map; `UNKNOWN` if that is not known."""
+        """Return where the walker must be after an action by the map; `UNKNOWN` if that is not known."""
         if self.at is None or action is None:
             return UNKNOWN if self.at is None else self.at
         return self.moves[self.at][action]
@@ -189,16 +189,16 @@ class ImageGraph(Panoramas):
             self.doubt = None
 
     def _coast(self, action: int | None) -> bool:
-        """Whether an observation that fits nowhere is passed over: the first after a move whose end is known."""
+        """Return True if an observation that fits nowhere is ignored: the first after a move whose end is known."""
         known = self.merge and action is not None and self._expected(action) != UNKNOWN
         self._coasting = known and not self._coasting
         return self._coasting
 
     def _possible_twins(self, views: Tensor, action: int | None) -> list[int] | None:
-        """The nodes that look like what is seen, the most alike first, if the walker may as well be in a new place.
+        """Return the nodes that look like what is seen, the most alike first, if the walker may be in a new place too.
 
         A blocked move leads to the same node, and turns to the same place: that is believed (None). Nodes that are
-        known to be turned to from another one are not meant.
+        known to be turned to from another one do not count.
         """
         before = self.at
         if not self.verify or before is None or action is None or self.moves[before][action] != UNKNOWN:
@@ -211,7 +211,7 @@ class ImageGraph(Panoramas):
         return [node for node in alike if self.moves[node][UNDOES[action]] in (UNKNOWN, before)]
 
     def _testing_action(self, doubt: "Doubt") -> int | None:
-        """The first action on a shortest path to a neighbour of the best candidate; None if it has none."""
+        """Return the first action on a shortest path to a neighbour of the best candidate; None if it has none."""
         first: dict[int, int | None] = {doubt.candidates[0]: None}
         queue = deque(first)
         while queue:
@@ -227,16 +227,16 @@ class ImageGraph(Panoramas):
         return None
 
     def _settle(self, doubt: "Doubt", views: Tensor, action: int) -> bool:
-        """See on while in doubt, which ends with most moves; whether it was seen to the end, else see as ever."""
+        """Add a look of a walker in doubt, which most moves end; return False if it is to be added as usual."""
         scores = self.scores(views)
         after = [self.moves[node][action] for node in doubt.candidates]
         fitting = [i for i, node in enumerate(after) if node != UNKNOWN and self.fits(scores, node)]
-        told = [i for i in fitting if action in (AHEAD, BACK) and after[i] != doubt.candidates[i]]
+        moved = [i for i in fitting if action in (AHEAD, BACK) and after[i] != doubt.candidates[i]]
         unknown = [i for i, node in enumerate(after) if node == UNKNOWN]
-        if told or not fitting:
+        if moved or not fitting:
             self.doubt = None
-            if told or unknown:
-                best = max(told, key=lambda i: float(scores[after[i]])) if told else unknown[0]
+            if moved or unknown:
+                best = max(moved, key=lambda i: float(scores[after[i]])) if moved else unknown[0]
                 self.merge_panoramas(doubt.same[best])
             return False
         doubt.same = [doubt.same[i] for i in fitting]
@@ -266,5 +266,5 @@ class Doubt:
 
 
 def _pairs(new: int, old: int) -> dict[int, int]:
-    """The nodes of a panorama ``new``, each with the node of the panorama of ``old`` that it would be."""
+    """Return the nodes of a panorama ``new``, each with the node of the panorama of ``old`` that it would be."""
     return {new + k: turned(old, k) for k in range(VIEWS)}

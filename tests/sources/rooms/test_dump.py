@@ -15,11 +15,11 @@ from dirl.perception.backbones import ResNet50, ViewEncoder
 from dirl.perception.backbones.resnet import encode
 from dirl.scenes import SceneError, read_dump
 from dirl.sources.rooms import build_room, built_in_rooms, check_room, describe_room
-from dirl.sources.rooms.build import Changes, look_views
 from dirl.sources.rooms.checks import check_views, contrast, thumbnail
 from dirl.sources.rooms.description import Piece
-from dirl.sources.rooms.navigation import walk
+from dirl.sources.rooms.dump import Changes, look_views
 from dirl.sources.rooms.view import Renderer
+from dirl.sources.rooms.walkable import walk
 
 REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02"
 """Views of the bathroom in coarse light, 60x80 PNG, rendered on the machine that made the rooms; named by states."""

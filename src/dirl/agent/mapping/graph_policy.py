@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from dirl.agent.mapping.graph import ImageGraph, MapError
+from dirl.agent.mapping.image_graph import ImageGraph, MapError
 from dirl.agent.mapping.walks import explore
 from dirl.perception.recognition.recogniser import NCC, described_visits
 from dirl.scenes import ACTIONS
@@ -16,7 +16,7 @@ from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.world import World
 
 NO_GOAL = -(2**60)
-"""In a table of goals: of a state that is none."""
+"""In a table of goals: a state that is none."""
 
 CERTAIN = 30.0
 """The logit of the planned action, of others 0: sampled actions are the planned ones too."""
@@ -59,7 +59,7 @@ class GraphGuide:
         self._planned: tuple[int, Tensor] = (-1, torch.empty(0))
 
     def advise(self, views: Tensor) -> int | None:
-        """The next action by the map, for what is seen now, float32 ``[4, F]``; None where the policy shall decide."""
+        """Return the map's next action for what is seen now, float32 ``[4, F]``; None where the policy shall decide."""
         node = self.graph.follow(views, self.action)
         if node is None:
             return None
@@ -128,7 +128,7 @@ class GraphMemory(TensorDictModuleBase):
             self.register_buffer(name, table.to(world.device))
 
     def planned(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """The planned action, -1 without one, and the known distance to the goal, -1 without a path; int64 ``[B]``."""
+        """Return the planned action, -1 without one, and the distance to the goal, -1 without a path; int64 ``[B]``."""
         state, goal_views = tensordict["view_ids"][..., 0], tensordict["goal_view_ids"]
         goal = goal_views[..., 0]
         is_photo = goal_views[..., 1] == len(self.row)  # the view id of what is not known
@@ -171,7 +171,7 @@ class GuidedPolicy(TensorDictModuleBase):
 
 
 def plan_table(graph: ImageGraph, visits: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-    """What to do in each of n states on the way to each of g goals, and how far it is.
+    """Return what to do in each of n states on the way to each of g goals, and how far the goals are.
 
     Args:
         graph: a map.
@@ -195,7 +195,7 @@ def plan_table(graph: ImageGraph, visits: Tensor, goals: Tensor) -> tuple[Tensor
 
 
 def first_actions(graph: ImageGraph, distances: Tensor) -> Tensor:
-    """The first action of a shortest path from each node to each goal, int8 ``[N, G]``; -1 at it and without a path.
+    """Return first actions of shortest paths from each node to each goal, int8 ``[N, G]``; -1 at it or without a path.
 
     For the distances see `ImageGraph.plan`, int32 ``[N, G]``.
     """

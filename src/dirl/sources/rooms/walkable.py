@@ -35,7 +35,7 @@ class Walk:
 
 
 def footprints(room: RoomDescription) -> Array:
-    """The rectangles that agents cannot enter: middle x and y, half width, half depth, turn in radians, ``[n, 5]``."""
+    """Return rectangles that agents cannot enter: middle x and y, half width and depth, turn in radians, ``[n, 5]``."""
     solid = [
         footprint(piece, room)
         for piece in room.furniture
@@ -51,7 +51,7 @@ def footprint(piece: Piece, room: RoomDescription) -> tuple[float, ...]:
 
 
 def clearance(a: Array, b: Array, rectangles: Array) -> Array:
-    """The exact distance of segments from a to b, ``[n, 2]`` each, to the nearest of the rectangles of `footprints`.
+    """Return the exact distance of segments from a to b, ``[n, 2]`` each, to the nearest of the `footprints`.
 
     Metres; 0 where they meet, infinite if there are no rectangles.
     """
@@ -61,7 +61,7 @@ def clearance(a: Array, b: Array, rectangles: Array) -> Array:
     half = np.stack([half_width, half_depth], -1)
 
     def inside(points: Array) -> Array:
-        """In each rectangle's own coordinates, ``[n, m, 2]``."""
+        """Return points in each rectangle's own coordinates, ``[n, m, 2]``."""
         dx, dy = points[:, None, 0] - x, points[:, None, 1] - y
         return np.stack([dx * np.cos(turn) + dy * np.sin(turn), dy * np.cos(turn) - dx * np.sin(turn)], -1)
 
@@ -131,7 +131,7 @@ def _places(room: RoomDescription) -> tuple[IntArray, Array]:
 
 
 def _steps(cells: IntArray, points: Array, way: IntArray, room: RoomDescription) -> tuple[IntArray, IntArray]:
-    """From which places a step of so many cells is possible, and to which it leads."""
+    """Return from which places a step of so many cells is possible, and to which it leads."""
     number = {tuple(cell): place for place, cell in enumerate(cells.tolist())}
     there = np.array([number.get(tuple(cell), -1) for cell in (cells + way).tolist()])
     here = np.flatnonzero(there >= 0)
@@ -140,7 +140,7 @@ def _steps(cells: IntArray, points: Array, way: IntArray, room: RoomDescription)
 
 
 def _free(a: Array, b: Array, room: RoomDescription) -> Array:
-    """True if the agent's disc stays clear from each point a to each point b, bool ``[n]``."""
+    """Return True where the agent's disc stays clear from point a to point b, bool ``[n]``."""
     radius, extent = room.grid.radius, np.array(room.size[:2])
     both = np.concatenate([a, b], 1).reshape(-1, 2, 2)
     indoors = ((both >= radius - TOUCH) & (both <= extent - radius + TOUCH)).all((1, 2))

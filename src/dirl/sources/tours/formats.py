@@ -6,15 +6,15 @@ from pathlib import Path
 
 from dirl.scenes.io.files import inside, read_csv, text_of
 from dirl.scenes.scene import SceneError
-from dirl.sources.tours.images import Equirectangular
 from dirl.sources.tours.javascript import SCENES, read_marzipano, read_pannellum
 from dirl.sources.tours.krpano import read_krpano
+from dirl.sources.tours.pixels import Equirectangular
 from dirl.sources.tours.tour import MOST_TEXT, Described, Link, Panorama, Tour, make_tour, number
 
 LINKS, PLACES = "links.csv", "panoramas.csv"
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
-"""Of panoramas in a folder."""
+"""Suffixes of panoramas in a folder."""
 
 
 def read_table(file: Path) -> Described:
@@ -39,8 +39,8 @@ def read_table(file: Path) -> Described:
     places: dict[str, tuple[tuple[float, float] | None, float | None]] = {}
     if (folder / PLACES).is_file():
         for where, row in read_csv(folder / PLACES, ("image",), ("x", "z", "heading"), most=MOST_TEXT):
-            told = {key: number(text, f"{where}: {key}") for key, text in row.items() if key != "image" and text}
-            x, z, heading = told.get("x"), told.get("z"), told.get("heading")
+            numbers = {key: number(text, f"{where}: {key}") for key, text in row.items() if key != "image" and text}
+            x, z, heading = numbers.get("x"), numbers.get("z"), numbers.get("heading")
             places[row["image"]] = (None if x is None or z is None else (x, z), heading)
 
     def panorama(name: str) -> Panorama:
@@ -77,17 +77,17 @@ def read_tour(path: str | Path, *, skip: Collection[str] = ()) -> Tour:
         raise SceneError(f"{path}: there is no such file or folder")
     for kind, (read, names) in FORMATS.items():
         if path.is_file():
-            found = [path] if any(path.match(Path(name).name) for name in names) else []
+            tours = [path] if any(path.match(Path(name).name) for name in names) else []
         else:
-            found = sorted(file for name in names for file in path.glob(name))
+            tours = sorted(file for name in names for file in path.glob(name))
         if kind == "pannellum" and path.is_dir():  # which files of other kinds may stand beside
-            found = [file for file in found if _has_scenes(file)]
-        if len(found) > 1:
+            tours = [file for file in tours if _has_scenes(file)]
+        if len(tours) > 1:
             raise SceneError(
-                f"{path}: holds {len(found)} tours of {kind}, {found[0].name} too; name the file of the one you mean"
+                f"{path}: holds {len(tours)} tours of {kind}, {tours[0].name} too; name the file of the one you mean"
             )
-        if found or (kind == "krpano" and path.suffix == ".xml"):
-            file = found[0] if found else path
+        if tours or (kind == "krpano" and path.suffix == ".xml"):
+            file = tours[0] if tours else path
             return make_tour(read(file), str(file), skip)
     raise SceneError(
         f"{path}: is no tour; expected one of {', '.join(n for _, names in FORMATS.values() for n in names)}"

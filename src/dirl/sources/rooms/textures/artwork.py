@@ -10,7 +10,7 @@ from dirl.sources.rooms.textures.noise import Array, Canvas, fractal_noise, mix,
 def abstract(
     c: Canvas, *, colors: tuple[str, ...] = ("#d94f30", "#f2c14e", "#2a6f97", "#f4f1de", "#22223b"), cells: int = 14
 ) -> Array:
-    """Fields of colour around random points, leaded like a church window."""
+    """Draw fields of colour around random points, leaded like a church window."""
     points = c.rng.random((max(2, cells), 2))
     distance = np.hypot(c.u[..., None] - points[:, 0], c.v[..., None] - points[:, 1])
     nearest = np.partition(distance, 1, -1)
@@ -21,7 +21,7 @@ def abstract(
 
 
 def blocks(c: Canvas, *, colors: tuple[str, ...] = ("#c8102e", "#f6d000", "#0b4ea2", "#f5f3ea")) -> Array:
-    """Rectangles between black lines; the last colour is the ground."""
+    """Draw rectangles between black lines; the last colour is the ground."""
     choices = palette(colors)
     xs, ys = (np.r_[0, np.sort(c.rng.uniform(0.1, 0.9, 4)), 1] for _ in range(2))
     out = np.full((c.n, c.n, 3), choices[-1])
@@ -38,7 +38,7 @@ def blocks(c: Canvas, *, colors: tuple[str, ...] = ("#c8102e", "#f6d000", "#0b4e
 def circles(
     c: Canvas, *, colors: tuple[str, ...] = ("#e4572e", "#17bebb", "#ffc914", "#2e282a", "#76b041"), cells: int = 3
 ) -> Array:
-    """Concentric rings of colour in a grid of squares."""
+    """Draw concentric rings of colour in a grid of squares."""
     row, column = np.floor(c.v * cells).astype(int), np.floor(c.u * cells).astype(int)
     radius = np.hypot((c.u * cells) % 1 - 0.5, (c.v * cells) % 1 - 0.5)
     ring = np.minimum((radius * 8.5).astype(int), 4)
@@ -49,7 +49,7 @@ def circles(
 def bouquet(
     c: Canvas, *, ground: str = "#2f3e46", colors: tuple[str, ...] = ("#e76f51", "#f4a261", "#e9c46a", "#fefae0")
 ) -> Array:
-    """Flowers in a vase, loosely painted."""
+    """Draw flowers in a vase, loosely painted."""
     out = rgb(ground) * (0.7 + 0.6 * c.noise(4, 4, 5))[..., None]
     out[c.v > 0.82] *= 0.6
     choices = palette(colors)
@@ -73,7 +73,7 @@ def bouquet(
 
 
 def rug(c: Canvas, *, colors: tuple[str, ...] = ("#7a1f1f", "#d8b26e", "#1f3a5f", "#efe3c8")) -> Array:
-    """A carpet with a star in a border; the colours are field, ornament, border and lines."""
+    """Draw a carpet with a star in a border; the colours are field, ornament, border and lines."""
     field, ornament, border, line = _four(colors)
     x, y = np.abs(c.u - 0.5) * 2, np.abs(c.v - 0.5) * 2
     edge = np.maximum(x, y)
@@ -91,7 +91,7 @@ def rug(c: Canvas, *, colors: tuple[str, ...] = ("#7a1f1f", "#d8b26e", "#1f3a5f"
 
 
 def kilim(c: Canvas, *, colors: tuple[str, ...] = ("#a23e2a", "#e5c687", "#2d4a58", "#f0e6d2"), rows: int = 5) -> Array:
-    """A flat-woven rug: bands of stepped diamonds, each band in its own colours."""
+    """Draw a flat-woven rug: bands of stepped diamonds, each band in its own colours."""
     choices = _four(colors)
     out = np.empty((c.n, c.n, 3))
     band = np.minimum((c.v * rows).astype(int), rows - 1)
@@ -114,7 +114,7 @@ def _four(colors: tuple[str, ...]) -> Array:
 
 
 def books(c: Canvas) -> Array:
-    """A row of book spines."""
+    """Draw a row of book spines."""
     out = np.full((c.n, c.n, 3), 0.08)
     x = 0
     while x < c.n:
@@ -130,7 +130,7 @@ def books(c: Canvas) -> Array:
 
 
 def fire(c: Canvas) -> Array:
-    """Flames, brightest at the bottom."""
+    """Draw flames, brightest at the bottom."""
     heat = c.noise(4, 8, 5) + 1.1 * c.v - 0.9 * np.abs(c.u - 0.5) - 0.45
     return np.clip(np.stack([heat * 2.6, heat * 1.5 - 0.25, heat * 0.9 - 0.5], -1), 0.01, 1)
 
@@ -157,7 +157,7 @@ def landscape(
     ground: str = "#3f6b35",
     far: str = "#8fa9b8",
 ) -> Array:
-    """Ridges of hills, one behind the other, from the colour ``far`` to the near ``ground``."""
+    """Draw ridges of hills, one behind the other, from the colour ``far`` to the near ``ground``."""
     out = np.maximum(_sky(c, sky), _sun(c))
     for hill in range(hills):
         near = hill / max(1, hills - 1)
@@ -175,7 +175,7 @@ def skyline(
     sky: tuple[str, ...] = ("#6f9fce", "#f3e2cf"),
     colors: tuple[str, ...] = ("#8a8f98", "#a8826a", "#6b7a86"),
 ) -> Array:
-    """Houses with windows in three rows, one behind the other, a few of them with light."""
+    """Draw houses with windows in three rows, one behind the other, a few of them with light."""
     out = _sky(c, sky)
     choices, haze = palette(colors), rgb(sky[-1])
     for row, base in enumerate((0.45, 0.58, 0.72)):
@@ -198,7 +198,7 @@ def skyline(
 def sea(
     c: Canvas, *, sky: tuple[str, ...] = ("#4d8fcb", "#fbe8cf"), water: str = "#1f6f8b", shore: str = "#d8c08a"
 ) -> Array:
-    """The sea to the horizon, a beach in front, a few sails."""
+    """Draw the sea to the horizon, a beach in front, a few sails."""
     out = np.maximum(_sky(c, sky), _sun(c))
     horizon = c.rng.uniform(0.42, 0.52)
     waves = c.noise(64, 6, 3)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.sources.tours.images import Cube, Equirectangular, read_panorama, sample
+from dirl.sources.tours.pixels import Cube, Equirectangular, read_panorama, sample
 
 COLUMNS, ROWS = 360, 64
-"""Of a panorama that is compared."""
+"""Columns and rows of a panorama that is compared."""
 
 HIGHEST, LOWEST = 1.0, -1.3
 """Tangents of the angles above the horizon between which rows are spread evenly: a thing's grow by its nearness."""
@@ -24,12 +24,12 @@ SCALES = np.exp(np.linspace(-1, 1, 17))
 """How much larger things may be in the other panorama."""
 
 DISTANCES = np.exp(np.linspace(np.log(0.3), np.log(8), 24))
-"""That are supposed, in distances between the two panoramas."""
+"""Distances of things that are tried, in distances between the two panoramas."""
 
 COARSE, FINE = 2.0, 0.5
 """Degrees between the turns that are tried, everywhere and around the best."""
 
-RIVAL, NEAR = 20.0, 5.0
+RIVAL, PEAK = 20.0, 5.0
 """Degrees from the best turn on, another one contradicts it; and another peak makes it doubtful."""
 
 Array = NDArray[np.float64]
@@ -78,19 +78,19 @@ def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
         return _agreement(alike, yaw, turns) + _agreement(alike_back, yaw - turns + 180, -turns)
 
     turns = np.arange(-180, 180, COARSE)
-    found = np.array([agreement(yaw, turns) for yaw in yaws])
-    which, nearest = (int(index) for index in np.unravel_index(found.argmax(), found.shape))
+    agreed = np.array([agreement(yaw, turns) for yaw in yaws])
+    which, nearest = (int(index) for index in np.unravel_index(agreed.argmax(), agreed.shape))
     around = turns[nearest] + np.arange(-COARSE, COARSE + FINE, FINE)
     best = float(around[agreement(yaws[which], around).argmax()])
-    at, off = found.max(0), np.abs((turns - best + 180) % 360 - 180)
-    peaks = (at >= np.roll(at, 1)) & (at >= np.roll(at, -1)) & (off > NEAR)
+    at, off = agreed.max(0), np.abs((turns - best + 180) % 360 - 180)
+    peaks = (at >= np.roll(at, 1)) & (at >= np.roll(at, -1)) & (off > PEAK)
     others = (at[there].max(initial=-np.inf) for there in (off > RIVAL, peaks))  # there may be no other peak
-    lead, peak = ((at.max() - other) / (found[which].std() + 1e-9) for other in others)
+    lead, peak = ((at.max() - other) / (agreed[which].std() + 1e-9) for other in others)
     return Seen((best + 180) % 360 - 180, float(lead), float(peak))
 
 
 def _alike(first: Array, second: Array) -> Array:
-    """The correlation of each column of one panorama, scaled, with each of another, ``[SCALES, COLUMNS, COLUMNS + 1]``.
+    """Correlate each column of one panorama, scaled, with each of another, ``[SCALES, COLUMNS, COLUMNS + 1]``.
 
     The last column is the first once more.
     """
@@ -104,8 +104,8 @@ def _alike(first: Array, second: Array) -> Array:
         scaled = first[:, above] * (1 - below) + first[:, above + 1] * below
         matches = _normalised(scaled) @ _normalised(second[:, inside]).T
         alike.append(sum(np.roll(matches, (step, step), (0, 1)) for step in (-1, 0, 1)) / 3)
-    found = np.array(alike)
-    return np.concatenate([found, found[:, :, :1]], 2)
+    scaled_matches = np.array(alike)
+    return np.concatenate([scaled_matches, scaled_matches[:, :, :1]], 2)
 
 
 def _normalised(values: Array) -> Array:
@@ -115,7 +115,7 @@ def _normalised(values: Array) -> Array:
 
 
 AZIMUTHS = (np.arange(COLUMNS) + 0.5) * 360 / COLUMNS - 180
-"""Of columns, degrees clockwise from the way to the other panorama."""
+"""Directions of columns, degrees clockwise from the way to the other panorama."""
 
 _RIGHT = DISTANCES[:, None] * np.sin(np.radians(AZIMUTHS))
 _AHEAD = DISTANCES[:, None] * np.cos(np.radians(AZIMUTHS)) - 1
@@ -135,7 +135,7 @@ def _agreement(alike: Array, yaws: Array | float, turns: Array) -> Array:
     the other panorama does not see what they show. ``yaws`` are where the second panorama stands in the image of the
     first, at each turn or at all of them.
     """
-    found = []
+    agreed = []
     for yaw, turn in zip(*np.broadcast_arrays(yaws, turns), strict=True):
         here = np.round((AZIMUTHS + yaw + 180) * COLUMNS / 360 - 0.5).astype(int) % COLUMNS
         place = (THERE + yaw - turn + 180) * COLUMNS / 360 - 0.5
@@ -145,5 +145,5 @@ def _agreement(alike: Array, yaws: Array | float, turns: Array) -> Array:
         index = (SCALE * COLUMNS + here) * (COLUMNS + 1) + left.astype(int) % COLUMNS
         matched = alike.take(index) * (1 - share) + alike.take(index + 1) * share
         matched[TOO_NEAR] = -0.5
-        found.append((np.maximum(matched.max(0), 0) ** 3).mean())
-    return np.array(found)
+        agreed.append((np.maximum(matched.max(0), 0) ** 3).mean())
+    return np.array(agreed)

@@ -15,16 +15,16 @@ from dirl.scenes.scene import SceneError
 from dirl.scenes.views import encode, open_photo, to_rgb
 
 MAX_FACE_PIXELS = 2**27
-"""Of a face; the sizes that files declare are checked before any pixel is decoded."""
+"""Pixels of a face at most; the sizes that files declare are checked before any pixel is decoded."""
 
 MOST_LEVELS, MOST_TILES = 16, 64
 """Sizes of a cube, and tiles along a side."""
 
 FACES = "frblud"
-"""Of a cube: front, right, back, left, up, down. The lower edge of ``u`` and the upper one of ``d`` touch ``f``."""
+"""A cube's front, right, back, left, up, down. The lower edge of ``u`` and the upper one of ``d`` touch ``f``."""
 
 QUALITY = 90
-"""Of the views, as WebP."""
+"""Quality of the views, as WebP."""
 
 Pixels = NDArray[np.uint8]
 
@@ -65,7 +65,7 @@ class CubeLevel:
 
 
 def tiled(size: int, tile: int, where: str, path: Callable[[str, int, int], Path]) -> CubeLevel:
-    """A cube of ``size`` pixels a side in tiles of ``tile`` pixels; ``path`` takes the face, the row and the column."""
+    """Return a level of ``size`` pixels a side in tiles of ``tile`` pixels; ``path`` takes face, row and column."""
     count = -(-size // tile)
     if count > MOST_TILES:
         raise SceneError(f"{where}: {size} pixels in tiles of {tile} are more than {MOST_TILES} tiles a side")
@@ -94,18 +94,18 @@ def six_images(path: Callable[[str], Path]) -> Cube:
 
 
 def read_panorama(image: Equirectangular | Cube, density: float) -> list[Pixels]:
-    """The pixels of a panorama: one equirectangular array ``[H, 2 H, 3]``, or six faces ``[S, S, 3]`` as `FACES`.
+    """Return the pixels of a panorama: one equirectangular ``[H, 2 H, 3]``, or six faces ``[S, S, 3]`` as `FACES`.
 
     ``density`` is how many pixels a radian are needed; an image that has twice as many or more is reduced. `SceneError`
     if a file cannot be read, or has another shape than it should.
     """
     if isinstance(image, Equirectangular):
-        found = open_photo(image.file, load=False)
-        if abs(found.width - 2 * found.height) > 2:
+        photo = open_photo(image.file, load=False)
+        if abs(photo.width - 2 * photo.height) > 2:
             raise SceneError(
-                f"{image.file}: {found.width}x{found.height} pixels; an equirectangular image is twice as wide as high"
+                f"{image.file}: {photo.width}x{photo.height} pixels; an equirectangular image is twice as wide as high"
             )
-        return [_reduced(to_rgb(open_photo(image.file)), found.width / (2 * np.pi), density)]
+        return [_reduced(to_rgb(open_photo(image.file)), photo.width / (2 * np.pi), density)]
     enough = [level for level in image.levels if level.size is None or level.size / 2 >= density]
     level = enough[0] if enough else image.levels[-1]
     reduced, sizes = [], set()
@@ -133,7 +133,7 @@ def _face(level: CubeLevel, face: str) -> Image.Image:
 
 
 def _reduced(image: Image.Image, has: float, needs: float) -> Pixels:
-    """The image with as few pixels a radian as are needed, so that views cut out of it do not flicker at edges."""
+    """Reduce an image to as many pixels a radian as are needed, so that views cut out of it do not flicker at edges."""
     factor = int(has / needs)
     return np.asarray(image.reduce(factor) if factor > 1 else image)
 
@@ -163,21 +163,21 @@ def sample(pixels: list[Pixels], directions: NDArray[np.float64]) -> Pixels:
         across = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * width - 0.5
         down = (0.5 - np.arcsin(np.clip(y, -1, 1)) / np.pi) * height - 0.5
         return _bilinear(pixels[0], across, down, wraps=True)
-    found = np.empty((*x.shape, 3), np.uint8)
+    sampled = np.empty((*x.shape, 3), np.uint8)
     face, right, below = _on_cube(x, y, z)
     for index, pixels_of_face in enumerate(pixels):
         here = face == index
         if here.any():
             side = len(pixels_of_face)
             places = ((where[here] + 1) / 2 * side - 0.5 for where in (right, below))
-            found[here] = _bilinear(pixels_of_face, *places, wraps=False)
-    return found
+            sampled[here] = _bilinear(pixels_of_face, *places, wraps=False)
+    return sampled
 
 
 def _directions(yaw: float, size: tuple[int, int], focal: float) -> NDArray[np.float64]:
-    """Unit vectors of a view's pixels: right, up and ahead of the panorama's middle, float64 ``[3, height, width]``.
+    """Return unit vectors of a view's pixels: right, up and ahead of the middle, float64 ``[3, height, width]``.
 
-    The view looks ``yaw`` clockwise from that middle, radians; ``focal`` is its focal length, pixels.
+    The view looks ``yaw`` clockwise from the panorama's middle, radians; ``focal`` is its focal length, pixels.
     """
     height, width = size
     right, down = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)

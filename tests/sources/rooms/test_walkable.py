@@ -9,8 +9,8 @@ from refusals import refused
 
 from dirl.scenes import SceneError
 from dirl.scenes.graph import AHEAD, BACK
-from dirl.sources.rooms.build import scene_of
-from dirl.sources.rooms.navigation import clearance, walk
+from dirl.sources.rooms.dump import scene_of
+from dirl.sources.rooms.walkable import clearance, walk
 
 COORDINATE = st.floats(-3, 3, allow_nan=False)
 POINT = st.tuples(COORDINATE, COORDINATE)

@@ -12,8 +12,8 @@ from refusals import refused
 from tours import WRITERS, written
 
 from dirl.scenes import SceneError
-from dirl.sources.tours import images, read_tour
-from dirl.sources.tours.images import cut_views
+from dirl.sources.tours import pixels, read_tour
+from dirl.sources.tours.pixels import cut_views
 
 
 def change(file, old, new, count=1):
@@ -193,6 +193,6 @@ def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path, monkeyp
     for tile in (tmp_path / "tiles" / "place_1").rglob("*.jpg"):
         tile.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + struct.pack(">I", 9) + b"IDAT")
     refused(r"place_1.*: the tiles of face 'f' make 24000x24000 pixels, not 8x8", cut_all, tour)
-    monkeypatch.setattr(images, "MAX_FACE_PIXELS", 8**2 - 1)
+    monkeypatch.setattr(pixels, "MAX_FACE_PIXELS", 8**2 - 1)
     with pytest.raises(SceneError, match=r"the tiles of face 'f' make 8x8 pixels, not a square"):
         cut_all(read_tour(written("krpano", tmp_path) / "tour.xml"))

@@ -20,8 +20,8 @@ from dirl.scenes.views import decode, encode
 from dirl.sources.rooms.checks import check_room, check_views, contrast, thumbnail
 from dirl.sources.rooms.description import Camera, RoomDescription, description_text, read_description
 from dirl.sources.rooms.mesh import Array
-from dirl.sources.rooms.navigation import Walk, walk
 from dirl.sources.rooms.view import Pose, Renderer
+from dirl.sources.rooms.walkable import Walk, walk
 
 if TYPE_CHECKING:  # the models are built on the scenes
     from dirl.perception.backbones import ViewEncoder
@@ -30,7 +30,7 @@ DESCRIPTIONS = Path(__file__).parent / "descriptions"
 """The built-in rooms, one TOML file each."""
 
 QUALITY = 72
-"""Of the stored WebP views."""
+"""Quality of the stored WebP views."""
 
 
 def built_in_rooms() -> list[str]:

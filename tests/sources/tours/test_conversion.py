@@ -11,9 +11,9 @@ from tours import grid_truth, tour_of, turned
 
 from dirl.scenes import SceneError
 from dirl.scenes.graph import AHEAD, BACK
-from dirl.sources.tours import moves
+from dirl.sources.tours import conversion
 
-tour_scene = partial(moves.tour_scene, compare_images=False)  # these tours have no images
+tour_scene = partial(conversion.tour_scene, compare_images=False)  # these tours have no images
 
 
 def told(made, words):
