@@ -105,7 +105,7 @@ class Agent:
     def act(
         self, now: Observed, generator: torch.Generator | None = None, *, greedy: bool = True
     ) -> tuple[Tensor, Tensor]:
-        """The actions of the agents that did not stop, int64 ``[B]``, and the logits behind them, ``[B, 4]``.
+        """Return the actions of the agents that did not stop, int64 ``[B]``, and the logits behind them, ``[B, 4]``.
 
         An action is the most probable one, of equal ones the first, or sampled by its probability.
         """

@@ -143,7 +143,7 @@ class WorldTables:
     arrived: StopRule
     """True where agents stop; with a `LocalisingMemory` the log odds, a `ScoreFunction`."""
     scores: VisitScores | None = None
-    """By which a memory knows places."""
+    """By which a memory recognises places."""
     around: Tensor | None = None
     """The states that are seen from each, clockwise, int64 ``[N, K]``; None = `World.surrounding`."""
     possible: Tensor | None = None
@@ -170,7 +170,7 @@ class AgentBatch:
     """What the policy observes, ``[W, 4]``."""
 
     def select(self, chosen: Tensor) -> "AgentBatch":
-        """Some of the agents, by index."""
+        """Return some of the agents, by index."""
         rows = (self.episode, self.wanted, self.shown, self.state, self.ahead, self.view_ids)
         return AgentBatch(self.known, *(row.index_select(0, chosen) for row in rows))
 

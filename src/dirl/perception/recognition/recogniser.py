@@ -23,11 +23,11 @@ FRONT_THRESHOLD = 0.95
 """Above which one photo matches: other places are more like a goal in one view than in four, see docs/decisions.md."""
 
 StopRule = Callable[[Tensor, Tensor], Tensor]
-"""Of goals, by their place among a world's goals plus G times their look, and of what is seen ahead, by view id, int64
-``[...]`` each: whether an agent stops there, bool ``[...]``."""
+"""From goals, by their place among a world's goals plus G times their look, and the view ahead, by view id, int64
+``[...]`` each, to whether an agent stops there, bool ``[...]``."""
 
 ScoreFunction = Callable[[Tensor, Tensor], Tensor]
-"""The same, but the scores instead, float32 ``[...]``."""
+"""The same, but to the scores, float32 ``[...]``."""
 
 
 class Thresholds(NamedTuple):
@@ -187,9 +187,9 @@ def in_blocks(recogniser: Recogniser, seen: Tensor, references: Tensor, block: i
 
 
 def build_recogniser(config: TrainConfig, device: torch.device | str) -> Recogniser:
-    """What the stop and the episodic memory recognise places by, on a device."""
-    made: Any = make("recogniser", config.recogniser, config.trust) or NCC()
-    return checked(made.to(device) if isinstance(made, nn.Module) else made)
+    """Make the recogniser of the stop and the episodic memory, on a device."""
+    recogniser: Any = make("recogniser", config.recogniser, config.trust) or NCC()
+    return checked(recogniser.to(device) if isinstance(recogniser, nn.Module) else recogniser)
 
 
 def checked(recogniser: Any) -> Recogniser:
@@ -210,7 +210,7 @@ def set_memory_threshold(memory: nn.Module | None, recogniser: Recogniser) -> No
     """Give an episodic memory the threshold of its recogniser; one without a threshold weighs log odds itself.
 
     Raises:
-        ConfigError: it does, and the recogniser's scores are no log odds.
+        ConfigError: the memory weighs log odds, and the recogniser's scores are none.
     """
     if memory is None:
         return
@@ -225,7 +225,7 @@ def set_memory_threshold(memory: nn.Module | None, recogniser: Recogniser) -> No
 
 
 def recogniser_name(recogniser: Recogniser) -> str:
-    """The class of a recogniser and a digest of its weights: what it describes others cannot compare."""
+    """Return the class of a recogniser and a digest of its weights: others cannot compare its descriptions."""
     kind = type(recogniser)
     digest = hashlib.sha256()
     if isinstance(recogniser, nn.Module):
@@ -263,14 +263,14 @@ class VisitScores:
             self.whole = torch.cat([recogniser.whole(visits[:, 0]) for visits in self.visits])[order]
 
     def __call__(self, reference: Tensor, seen: Tensor) -> Tensor:
-        """The scores of visits by their first view ids in one scene, int64 ``[...]`` each, broadcast; float32."""
+        """Return scores, float32, of visits by their first view ids in one scene, int64 ``[...]`` each, broadcast."""
         asked = reference[~self.known[reference]]
         if len(asked):
             self._compute(asked.unique())
         return self.table[self.row[reference] + self.column[seen]]
 
     def of_visits(self, seen: Tensor, visit: Tensor) -> Tensor:
-        """How much visits ``[B, K]`` look like earlier ones, ``[B, T, K]``, facing each of their views; all view ids.
+        """Compare visits ``[B, K]`` with earlier ones, ``[B, T, K]``, by view ids; return a score facing each view.
 
         A node faces the view that was ahead or aside, by whose view id it is named. Of a panorama each four views, 90
         degrees apart, are compared, and the mean is taken, unless the recogniser `ComparesPanoramas`.
@@ -282,7 +282,7 @@ class VisitScores:
         return torch.stack(scores).mean(0) if rings > 1 else scores[0]
 
     def of_goal(self, goal: Tensor, visits: Tensor, place: Tensor) -> Tensor:
-        """Log odds that panoramas see goals, by their view ids; see `panorama_odds`."""
+        """Return the log odds that panoramas see goals, by their view ids; see `panorama_odds`."""
         assert self.whole is not None
         return panorama_odds(self.whole[visits], self.whole[goal], self.whole[place])
 
@@ -293,13 +293,13 @@ class VisitScores:
             visits, rows = self.visits[index], reference[self.scene[reference] == index]
             references = visits[self.column[rows]]
             references = references[:, :1] if self.match == "front" else references
-            found = in_blocks(self.recogniser, visits, references).T
-            self.table[self.row[rows][:, None] + torch.arange(len(visits), device=rows.device)] = found
+            scores = in_blocks(self.recogniser, visits, references).T
+            self.table[self.row[rows][:, None] + torch.arange(len(visits), device=rows.device)] = scores
         self.known[reference] = True
 
 
 def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor:
-    """The described views of the visits of one scene, float32 ``[M, 4, F]``, in the order of `World.pictures`."""
+    """Return the described views of one scene's visits, float32 ``[M, 4, F]``, in the order of `World.pictures`."""
     pictures, states, offset = world.pictures(index), len(world.scenes[index]), world.offsets[index]
     patches = None if world.patches is None or not recogniser.reads_patches else world.patches[pictures]
     features = world.features[pictures]
@@ -336,45 +336,45 @@ class TemplateStop:
 
     @torch.no_grad()  # a learned recogniser has weights
     def scores(self, world: World) -> Tensor:
-        """The score of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`.
+        """Return the score of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`.
 
         In a world that changes both are seen in their default look.
         """
-        found = []
+        scores = []
         for index, scene in enumerate(world.scenes):
             visits = described_visits(self.recogniser, world, index)[: len(scene)]
             goals = visits[world.local_goals(index)]
             goals = goals[:, :1] if self.match == "front" else goals
-            found.append(in_blocks(self.recogniser, visits, goals).T.flatten())
-        return torch.cat(found)
+            scores.append(in_blocks(self.recogniser, visits, goals).T.flatten())
+        return torch.cat(scores)
 
     def __call__(self, world: World) -> Tensor:
-        """Where an agent stops on its way to each goal, bool ``[P]``; not where it cannot be reached from."""
+        """Return where an agent stops on its way to each goal, bool ``[P]``: never where no path leads to it."""
         return (self.scores(world) > self.threshold) & (world.distances >= 0)
 
     def arrived(self, world: World) -> StopRule:
-        """The same in a world that changes, where it depends on the looks of the goal and of the visit."""
+        """Return the stop in a world that changes, where it depends on the looks of the goal and of the visit."""
         compared = self.compared(world)
         return lambda wanted, picture: compared(wanted, picture) > self.threshold
 
     def compared(self, world: World) -> ScoreFunction:
-        """The scores by which an agent would stop, for one that weighs them itself."""
+        """Return the scores by which an agent would stop, for one that weighs them itself."""
         scores, states, goals = VisitScores(self.recogniser, world, self.match), len(world), len(world.goals)
         return lambda wanted, picture: scores(world.goals[wanted % goals] + wanted // goals * states, picture)
 
 
 def matching(config: TrainConfig, device: torch.device | str) -> TemplateStop:
-    """The stop by template matching, for a world on a device."""
+    """Make the stop by template matching, for a world on a device."""
     return stop_by(build_recogniser(config, device), config.stop.threshold, config.stop.match)
 
 
 def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateStop:
-    """The stop by a recogniser, above its own threshold or, if it has none, the one given."""
+    """Make the stop by a recogniser, above its own threshold or, if it has none, the one given."""
     if recogniser.thresholds is not None:
         threshold = recogniser.thresholds.photo if match == "front" else recogniser.thresholds.views
     return TemplateStop(threshold, match, recogniser)
 
 
 def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
-    """The stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
+    """Make the stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
     return stop_by(checked(make("recogniser", group_options("recogniser", choice) or {})), threshold, match)
