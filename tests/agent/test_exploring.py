@@ -104,6 +104,18 @@ def test_turns_of_another_angle_than_the_maps_are_noticed(truly, given, tmp_path
         walk_through(navigator.explore(turns=given), place)
 
 
+def test_a_map_leads_who_sees_a_panorama_as_well(tmp_path):
+    place = make_world([grid_scene(goals=(0,), feature_width=48, headings=8)])
+    trained(tmp_path / "run", place, "episodic_memory=planning")
+    navigator = Navigator.load(tmp_path / "run", look_up(place), extractor="random", turns=8)
+    walk = navigator.explore(turns=8)
+    walk_through(walk, place)
+    navigator.reset(images_of(place.surrounding[13]), graph=walk.graph, last_steps=0)
+    passed = walk_to_goal(navigator, place, 40, place.panoramas())
+    assert passed[-1] == 13
+    assert len(passed) - 1 == place.scenes[0].distances[40, 13]
+
+
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
     goal = images_of(world.surrounding[5])
     refused("the map is empty", navigator.reset, goal, graph=ImageGraph())

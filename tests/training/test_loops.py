@@ -21,12 +21,6 @@ KINDS = {
 }
 
 
-def walk(parts, state, frames):
-    """Updates until so many frames, as the recipe does them."""
-
-    learn(state, Loop(state, frames))
-
-
 def through_a_file(saved):
     """As a checkpoint holds it."""
     stream = io.BytesIO()
@@ -52,7 +46,7 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
     resumed = train_state(second)
     resumed.load_state_dict(stop[0])
     assert resumed.frames == stop[0]["frames"] >= 120
-    walk(second, resumed, 300)
+    learn(resumed, Loop(resumed, 300))
     assert (resumed.frames, resumed.meter.state_dict()) == (state.frames, state.meter.state_dict())
     for name, value in state.policy.state_dict().items():
         assert torch.equal(value, resumed.policy.state_dict()[name]), name
