@@ -12,13 +12,16 @@ from refusals import refused
 from rooms import grid_scene
 from torch import nn
 
+from dirl.agent.decisions import observe
 from dirl.config.schemas import ConfigError
+from dirl.envs import SurroundingViews
+from dirl.envs.transforms import front_only
 from dirl.models import FeatureTable, ObservationTable
 from dirl.models.build import build_policy
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import SceneError, write_dump
 from dirl.scenes.world import make_world
-from dirl.training.build import build_goals, build_world, load_trained
+from dirl.training.build import build_goals, build_world, learning_policy, load_trained
 from dirl.training.job import tell_of_far_goals
 
 SMALL = ["encoder.width=8", "heads.width=8"]
@@ -134,3 +137,23 @@ def test_a_policy_of_two_scenes_decides_by_the_layers_of_the_one_it_is_in(traine
     inside = whole.select(protocol.world.scene_of[whole.start] == protocol.world.names.index(name))
     for field in ("steps", "success", "shortest"):
         assert torch.equal(getattr(inside, field), getattr(part, field))
+
+
+class OnlyAhead(SurroundingViews):
+    """A transform of one's own that shows the view ahead, and hides the others."""
+
+    def reset_view_ids(self, picture):
+        return front_only(super().reset_view_ids(picture), self.pictures)
+
+
+def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_path):
+    write_dump(tmp_path / "room.h5", grid_scene(3, 2, goals=(0, 5), feature_width=64))
+    found = []
+    for cache in ("auto", "off"):
+        config = train_config(f"scene={tmp_path / 'room.h5'}", f"network.cache={cache}")
+        world = build_world(config)
+        observation = OnlyAhead(world)
+        policy = learning_policy(config, world, observation)
+        state, goal = torch.arange(24), torch.zeros(24, dtype=torch.int64)
+        found.append(policy(observe(world, observation, state, observation.reset_view_ids(state), goal))["logits"])
+    torch.testing.assert_close(*found, atol=1e-5, rtol=0)
