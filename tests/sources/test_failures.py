@@ -98,4 +98,4 @@ def test_no_doom_outlives_a_program_that_is_killed(doom, tmp_path):
     status, printed, _ = run_recipe(tmp_path, "scenes", *DUMP, "out=doom.h5", "encoder=null")
     assert status == -signal.SIGKILL
     wait_until(lambda: not list(Path("/dev/shm").glob(f"ViZDoom*{printed.strip()}")))
-    assert process_of(printed.strip()) is None
+    wait_until(lambda: process_of(printed.strip()) is None)  # which ends a moment later
