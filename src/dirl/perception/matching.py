@@ -285,15 +285,22 @@ class Matcher:
         )
         if max(turned, moved) < 2 * LEAST:
             return None
-        stretched, angle = np.inf, 0.0
+        stretched = np.inf
+        ways: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         if turned >= 2 * LEAST:
             left, stretch, right = np.linalg.svd(np.linalg.inv(camera) @ homography @ camera)
             angle = _heading(left @ right * np.sign(np.linalg.det(left @ right)))
             stretched = stretch.std() / stretch.mean()
+            ways += zip(*self._cv2.decomposeHomographyMat(homography, camera)[1:3], strict=True)
+        if stretched >= ROTATION[0]:
+            if essential is not None:
+                # Of the two rotations of an essential matrix one is turned by half a circle about the way.
+                one, other, way = self._cv2.decomposeEssentialMat(essential[:3])
+                ways.append((max(one, other, key=np.trace), way))
+            # Points of one plane, such as a wall, agree on two motions. Who walks, walks where the camera looks.
+            rotation, _ = max(ways, key=lambda motion: abs(motion[1][2, 0]) / np.linalg.norm(motion[1]))
+            angle = _heading(rotation)
         on_the_spot = bool(stretched < ROTATION[abs(angle) < STILL])
-        if stretched >= ROTATION[0] and essential is not None:
-            # Of the two rotations of an essential matrix one is turned by half a circle about the way.
-            angle = _heading(max(self._cv2.decomposeEssentialMat(essential[:3])[:2], key=np.trace))
         # Two views have nothing in common if the camera turned by more than it sees; then points agree by chance.
         return Motion(0.0, 0.0, angle, on_the_spot) if abs(angle) <= field_of_view else None
 
