@@ -58,6 +58,17 @@ def test_who_does_not_turn_walks(matcher, monkeypatch, turn, stretch, on_the_spo
     assert matcher.motion(views, views, 0, (180, 320), 65.0).on_the_spot == on_the_spot
 
 
+def test_who_walks_at_a_wall_aslant_does_not_turn(matcher, monkeypatch):
+    """All points are of one plane and agree on another motion, too: a turn, and a walk aside."""
+    views = matcher.describe([look(6, 2.5, 0)])
+    camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
+    found = camera @ (np.eye(3) - np.outer([0, 0, 0.3], [0.6, 0, 0.8])) @ np.linalg.inv(camera)
+    monkeypatch.setattr(matcher, "_fitted", lambda name, *_, **__: (found if name == "findHomography" else None, 20))
+    motion = matcher.motion(views, views, 0, (180, 320), 65.0)
+    assert abs(motion.turned) < 0.5
+    assert not motion.on_the_spot
+
+
 def test_views_without_points_agree_on_nothing(matcher):
     views = matcher.describe([np.full((60, 80, 3), 90, np.uint8), look(6, 2.5, 0)])
     assert matcher.fit(views[:1], views, [1]).score == 0

@@ -115,6 +115,21 @@ def test_frames_are_linked_where_the_moves_between_them_lead_back(move, linked):
     assert len(find_links(map_recordings([corridor], matcher, 65.0), matcher).links)
 
 
+class Glances(Bricks):
+    """The walker looks to the left and back by turns; ``move`` is by how many degrees."""
+
+    def motion(self, seen, frames, frame, size, field_of_view):
+        elsewhere = frames.looks[frame, 0] != seen.looks[0, 0]
+        return Motion(0, 0, (self.move if frame % 2 else -self.move) * elsewhere)
+
+
+@pytest.mark.parametrize(("degrees", "linked"), [(8, False), (30, True)])
+def test_who_turns_far_from_one_frame_to_the_next_stays_there(degrees, linked):
+    corridor = [(np.full((4, 4, 3), sign, np.uint8), float(sign), None) for sign in range(18)]
+    matcher = Glances(degrees)
+    assert (len(find_links(map_recordings([corridor], matcher, 65.0), matcher).links) > 0) == linked
+
+
 def test_a_path_is_told_as_moves(graph, matcher):
     moves = moves_along(graph, matcher, graph.path(2, 17))
     assert [str(move).split()[0] for move in moves] == ["ahead", "turn"]

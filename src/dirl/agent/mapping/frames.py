@@ -59,9 +59,12 @@ FAR = 300.0
 WINDOW = 6
 """Frames around the end of a link to which the other end is not linked, too."""
 
-DRIFT, ASTRAY = (20.0, 0.15), (3.0, 0.1)
+DRIFT, ASTRAY = (20.0, 0.15), (2.0, 0.05)
 """Degrees that the moves from one end of a link to the other may be off, and more for each frame between; and steps
 that they may lead away from it, and more for each step."""
+
+TURNS = 12.0
+"""Degrees from one frame to the next, from which one is taken to turn on the spot, whatever the points tell."""
 
 RIGHT = 4.2, 1.1, -7.5
 """Of a logistic regression of right answers: log ratio to the best other place, log score, constant."""
@@ -439,7 +442,7 @@ class Course(NamedTuple):
     """Degrees to the left."""
     place: NDArray[np.complex128]
     """Steps ahead of the first frame, and to the left: every move that is no turn on the spot is a step ahead."""
-    walked: NDArray[np.float64]
+    walked: NDArray[np.int64]
     """Steps so far."""
     gaps: NDArray[np.int64]
     """Moves so far that are not known; a frame has too few points in common with the next."""
@@ -449,7 +452,7 @@ class Course(NamedTuple):
         """Return the course along some frames of a map."""
         moves = [graph.motion(matcher, one, two) for one, two in pairwise(some.tolist())]
         turned = np.array([0.0 if move is None else move.turned for move in moves])
-        steps = np.array([float(move is not None and not move.on_the_spot) for move in moves])
+        steps = np.array([move is not None and not move.on_the_spot and abs(move.turned) < TURNS for move in moves])
         gaps = np.array([move is None for move in moves]) | (np.diff(graph.parts[some]) != 0)
         heading, walked, missing = (np.append(0, np.cumsum(part)) for part in (turned, steps, gaps))
         place = np.append(0, np.cumsum(steps * np.exp(1j * np.radians(heading[:-1] + turned / 2))))
