@@ -52,6 +52,9 @@ ROTATION, STILL = (0.03, 0.01), 2.0
 """How much a homography may stretch one direction more than another, where the camera only turned, and where it turned
 by less than `STILL` degrees: who walks towards a wall far away changes hardly more of the view."""
 
+IN_FRONT = 0.7
+"""Share of the points that lie before the camera, if they are of a plane."""
+
 LEAST = 8
 """Matches that determine a geometry."""
 
@@ -285,21 +288,23 @@ class Matcher:
         )
         if max(turned, moved) < 2 * LEAST:
             return None
-        stretched = np.inf
-        ways: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        stretched, angle = np.inf, 0.0
+        ways: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []  # rotations and translations that explain it
         if turned >= 2 * LEAST:
             left, stretch, right = np.linalg.svd(np.linalg.inv(camera) @ homography @ camera)
             angle = _heading(left @ right * np.sign(np.linalg.det(left @ right)))
             stretched = stretch.std() / stretch.mean()
-            ways += zip(*self._cv2.decomposeHomographyMat(homography, camera)[1:3], strict=True)
-        if stretched >= ROTATION[0]:
-            if essential is not None:
-                # Of the two rotations of an essential matrix one is turned by half a circle about the way.
-                one, other, way = self._cv2.decomposeEssentialMat(essential[:3])
-                ways.append((max(one, other, key=np.trace), way))
+            rays = np.linalg.inv(camera) @ np.vstack([points[0].T, np.ones(len(points[0]))])
+            for rotation, way, normal in zip(*self._cv2.decomposeHomographyMat(homography, camera)[1:], strict=True):
+                if (normal.T @ rays > 0).mean() > IN_FRONT:
+                    ways.append((rotation, way))
+        if essential is not None:
+            # Of the two rotations of an essential matrix one is turned by half a circle about the way.
+            one, other, way = self._cv2.decomposeEssentialMat(essential[:3])
+            ways.append((max(one, other, key=np.trace), way))
+        if stretched >= ROTATION[0] and ways:
             # Points of one plane, such as a wall, agree on two motions. Who walks, walks where the camera looks.
-            rotation, _ = max(ways, key=lambda motion: abs(motion[1][2, 0]) / np.linalg.norm(motion[1]))
-            angle = _heading(rotation)
+            angle = _heading(max(ways, key=lambda motion: abs(motion[1][2, 0]) / np.linalg.norm(motion[1]))[0])
         on_the_spot = bool(stretched < ROTATION[abs(angle) < STILL])
         # Two views have nothing in common if the camera turned by more than it sees; then points agree by chance.
         return Motion(0.0, 0.0, angle, on_the_spot) if abs(angle) <= field_of_view else None

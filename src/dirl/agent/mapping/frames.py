@@ -59,7 +59,7 @@ FAR = 300.0
 WINDOW = 6
 """Frames around the end of a link to which the other end is not linked, too."""
 
-DRIFT, ASTRAY = (20.0, 0.15), (2.0, 0.05)
+DRIFT, ASTRAY = (20.0, 0.15), (2.0, 0.1)
 """Degrees that the moves from one end of a link to the other may be off, and more for each frame between; and steps
 that they may lead away from it, and more for each step."""
 
