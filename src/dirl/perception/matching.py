@@ -61,9 +61,6 @@ LEAST = 8
 SCALE = 256.0
 """Of vectors of unit length as int8."""
 
-Matches = tuple[NDArray[np.float32], NDArray[np.float32]]
-"""Pixels of points of two views that are each other's best match, ``[P, 2]`` each."""
-
 PointFinder = Callable[[NDArray[np.uint8]], tuple[NDArray[np.float32], NDArray[np.float32]]]
 """Positions, pixels ``[P, 2]``, and vectors of unit length, ``[P, C]``, of the points of a view."""
 
@@ -238,8 +235,8 @@ class Matcher:
         padded[1][:count] = np.clip(np.rint(vectors[:count] * SCALE), -127, 127)
         return look, *padded, np.int16(count)
 
-    def match(self, seen: Described, other: Described, view: int) -> Matches:
-        """The matches of the first view of ``seen`` with one of ``other``."""
+    def match(self, seen: Described, other: Described, view: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return pixels of points that are each other's best match, of one view and one of others, ``[P, 2]`` each."""
         here, there = seen.points(0), other.points(view)
         if not len(here[0]) or not len(there[0]):
             return here[0][:0], there[0][:0]
@@ -250,15 +247,6 @@ class Matcher:
             clear = 1 - alike[first, second] < RATIO**2 * (1 - others)
             first, second = first[clear], second[clear]
         return here[0][first.numpy()], there[0][second.numpy()]
-
-    def agreeing(self, matches: Matches) -> float:
-        """How many matches agree on the geometry of two views, and on that of a camera that only turned; their mean."""
-        if len(matches[0]) < LEAST:
-            return 0.0
-        method = self._cv2.USAC_MAGSAC
-        _, moved = self._fitted("findFundamentalMat", *matches, method, EPIPOLAR, 0.99, 300)
-        _, turned = self._fitted("findHomography", *matches, method, HOMOGRAPHY, maxIters=300)
-        return (moved + turned) / 2
 
     def _fitted(self, estimator: str, *points: Any, **options: Any) -> tuple[Any, int]:
         """Return the geometry that an estimator of OpenCV finds, None without, and how many points agree.
@@ -316,10 +304,19 @@ class Matcher:
         return (frames.whiten(seen.looks) @ frames.whitened.T)[0].numpy().astype(float)
 
     def fit(self, seen: Described, frames: Described, some: Sequence[int]) -> Fit:
-        """Return `agreeing` for one view with some of the frames; where they were taken is not told."""
-        untold = np.zeros(len(some), np.float32)
-        scores = [self.agreeing(self.match(seen, frames, frame)) for frame in some]
-        return Fit(np.array(scores, np.float32), untold, untold, untold)
+        """Return how many matches agree on the geometry of two views, and on that of a camera that only turned.
+
+        The score is their mean. Where frames were taken is not told.
+        """
+        score, untold = np.zeros((2, len(some)), np.float32)
+        method = self._cv2.USAC_MAGSAC
+        for number, frame in enumerate(some):
+            matches = self.match(seen, frames, frame)
+            if len(matches[0]) >= LEAST:
+                _, moved = self._fitted("findFundamentalMat", *matches, method, EPIPOLAR, 0.99, 300)
+                _, turned = self._fitted("findHomography", *matches, method, HOMOGRAPHY, maxIters=300)
+                score[number] = (moved + turned) / 2
+        return Fit(score, untold, untold, untold)
 
 
 def _heading(rotation: NDArray[np.float64]) -> float:

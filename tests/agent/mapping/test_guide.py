@@ -126,9 +126,9 @@ def recorded(matcher, *recordings, links=()):
 def test_the_path_that_was_followed_leads_while_it_is_in_sight():
     matcher = Signs(lambda sign: 20.0 if sign >= 100 else 0.0)
     guide = dirl.Guide(recorded(matcher, range(20), range(100, 120), links=[(10, 30)]), [shown(19)], matcher)
-    guide.belief.of = np.eye(40)[5]
+    guide.belief = np.eye(40)[5]
     assert guide.see(shown(5)).say == "ahead"
-    guide.belief.of = np.eye(40)[26]  # as if one were in the other recording of the same place
+    guide.belief = np.eye(40)[26]  # as if one were in the other recording of the same place
     assert guide.see(shown(6)).say == "ahead"
 
 

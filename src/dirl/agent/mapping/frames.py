@@ -8,7 +8,7 @@ elsewhere. It holds photographs or frames of a game, by what compares them (`dir
 
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -59,7 +59,7 @@ FAR = 300.0
 WINDOW = 6
 """Frames around the end of a link to which the other end is not linked, too."""
 
-DRIFT, ASTRAY = (20.0, 0.15), (2.0, 0.1)
+DRIFT, ASTRAY = (20.0, 0.15), (2.0, 0.05)
 """Degrees that the moves from one end of a link to the other may be off, and more for each frame between; and steps
 that they may lead away from it, and more for each step."""
 
@@ -72,15 +72,13 @@ RIGHT = 4.2, 1.1, -7.5
 CERTAIN = 0.95
 """Least probability of an answer that is called certain."""
 
-Certainty = Literal["certain", "uncertain", "not here"]
-
 
 class Found(NamedTuple):
     """Where photos were taken."""
 
     frame: int
     """The one that fits the (middle) photo best."""
-    answer: Certainty
+    answer: Literal["certain", "uncertain", "not here"]
     probability: float
     """That the frame is right."""
     scores: NDArray[np.float64]
@@ -191,8 +189,9 @@ class FrameMap:
         margin, points, constant = RIGHT
         logit = margin * np.log((best + 3) / (other + 3)) + points * np.log(best + 1) + constant
         probability = float(1 / (1 + np.exp(-logit)))
-        answer: Certainty = "certain" if probability >= CERTAIN else "uncertain"
-        return Found(frame, "not here" if best < self.scale.here else answer, probability, scores)
+        if best < self.scale.here:
+            return Found(frame, "not here", probability, scores)
+        return Found(frame, "certain" if probability >= CERTAIN else "uncertain", probability, scores)
 
     def score(self, matcher: FrameMatcher, photo: Described) -> NDArray[np.float64]:
         """Return how well each frame and its neighbours fit one photo, ``[N]``."""
@@ -361,7 +360,8 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
     some = np.arange(0, len(graph), max(1, round(EVERY / graph.spacing)))
     times, parts = graph.times[some], graph.parts[some]
     agreeing, cost = _compare(graph, matcher, some, progress)
-    course = None if scale.tells_places else Course.of(graph, matcher, some)
+    leads_back = (lambda *_: True) if scale.tells_places else _course(graph, matcher, some)
+    bounded = np.append(parts, [-1, -1])  # so that nothing is before the first frame or after the last one
 
     def supported(one: int, two: int) -> bool:
         """True if the frames around agree, too, walked in the same direction or in the other."""
@@ -369,7 +369,7 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
             around = [
                 (one + direction * step, two + step)
                 for step in (-2, -1, 1, 2)
-                if _inside(parts, one, direction * step) and _inside(parts, two, step)
+                if bounded[one + direction * step] == parts[one] and bounded[two + step] == parts[two]
             ]
             if scale.tells_places:  # none of these scores is much larger than others, so that their mean tells more
                 total = agreeing[one][two] + sum(agreeing[first].get(second, 0) for first, second in around)
@@ -397,9 +397,7 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
         beside |= any(abs(other - one) <= WINDOW for other in linked[two])
         if beside and not scale.tells_places:
             continue
-        if not (distinct(one, two) and distinct(two, one) and supported(one, two)):
-            continue
-        if course is None or course.leads_back(one, two, graph.motion(matcher, some[one], some[two])):
+        if distinct(one, two) and distinct(two, one) and supported(one, two) and leads_back(one, two):
             links.append((one, two))
             linked[one].append(two)
             linked[two].append(one)
@@ -435,42 +433,27 @@ def _compare(
     return agreeing, cost
 
 
-class Course(NamedTuple):
-    """Where the moves between successive frames lead, ``[N]`` each; it drifts."""
+def _course(graph: FrameMap, matcher: FrameMatcher, some: NDArray[np.int64]) -> Callable[[int, int], bool]:
+    """Return what is False for two of some frames if the moves from one to the other lead elsewhere.
 
-    heading: NDArray[np.float64]
-    """Degrees to the left."""
-    place: NDArray[np.complex128]
-    """Steps ahead of the first frame, and to the left: every move that is no turn on the spot is a step ahead."""
-    walked: NDArray[np.int64]
-    """Steps so far."""
-    gaps: NDArray[np.int64]
-    """Moves so far that are not known; a frame has too few points in common with the next."""
+    Moves between successive frames add up, with a drift: every one that is no turn on the spot is a step ahead.
+    """
+    moves = [graph.motion(matcher, one, two) for one, two in pairwise(some.tolist())]
+    turned = np.array([0.0 if move is None else move.turned for move in moves])
+    steps = np.array([move is not None and not move.on_the_spot and abs(move.turned) < TURNS for move in moves])
+    gaps = np.array([move is None for move in moves]) | (np.diff(graph.parts[some]) != 0)
+    heading, walked, unknown = (np.append(0, np.cumsum(part)) for part in (turned, steps, gaps))
+    place = np.append(0, np.cumsum(steps * np.exp(1j * np.radians(heading[:-1] + turned / 2))))
 
-    @classmethod
-    def of(cls, graph: FrameMap, matcher: FrameMatcher, some: NDArray[np.int64]) -> "Course":
-        """Return the course along some frames of a map."""
-        moves = [graph.motion(matcher, one, two) for one, two in pairwise(some.tolist())]
-        turned = np.array([0.0 if move is None else move.turned for move in moves])
-        steps = np.array([move is not None and not move.on_the_spot and abs(move.turned) < TURNS for move in moves])
-        gaps = np.array([move is None for move in moves]) | (np.diff(graph.parts[some]) != 0)
-        heading, walked, missing = (np.append(0, np.cumsum(part)) for part in (turned, steps, gaps))
-        place = np.append(0, np.cumsum(steps * np.exp(1j * np.radians(heading[:-1] + turned / 2))))
-        return cls(heading, place, walked, missing)
-
-    def leads_back(self, one: int, two: int, motion: Motion | None) -> bool:
-        """True unless the moves between two frames, which are a motion apart by their points, lead elsewhere."""
-        if self.gaps[one] != self.gaps[two] or motion is None:
+    def leads_back(one: int, two: int) -> bool:
+        motion = graph.motion(matcher, some[one], some[two])
+        if unknown[one] != unknown[two] or motion is None:
             return True
-        turned = self.heading[two] - self.heading[one] - motion.turned
-        away, walked = abs(self.place[two] - self.place[one]), self.walked[two] - self.walked[one]
-        straight = abs((turned + 180) % 360 - 180) <= DRIFT[0] + DRIFT[1] * (two - one)
-        return bool(straight and away <= ASTRAY[0] + ASTRAY[1] * walked)
+        off = abs((heading[two] - heading[one] - motion.turned + 180) % 360 - 180)
+        far = ASTRAY[0] + ASTRAY[1] * (walked[two] - walked[one])
+        return bool(off <= DRIFT[0] + DRIFT[1] * (two - one) and abs(place[two] - place[one]) <= far)
 
-
-def _inside(parts: NDArray[np.int64], frame: int, step: int) -> bool:
-    """Return True if a recording goes on for so many frames."""
-    return 0 <= frame + step < len(parts) and bool(parts[frame + step] == parts[frame])
+    return leads_back
 
 
 def load_matcher(kind: str | None = None) -> FrameMatcher:

@@ -98,31 +98,20 @@ class Guidance(NamedTuple):
         return f"turn {'left' if self.turn > 0 else 'right'} by {abs(self.turn):.0f} degrees"
 
 
-class Belief:
-    """Where one is in a recorded walk: a Bayes filter, with probabilities of the frames, ``[N]``.
+def spread(belief: NDArray[np.float64], links: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the probabilities of the frames, ``[N]``, after a walk on, or along a link, or anywhere."""
+    moved = np.convolve(belief, MOVES)[2 : 2 + len(belief)]
+    for one, other in (links.T, links.T[::-1]):
+        np.maximum.at(moved, other, LINKED * belief[one])
+    return (1 - ELSEWHERE) * moved / moved.sum() + ELSEWHERE / len(belief)
 
-    Args:
-        count: frames, N.
-        links: pairs of frames of one place, int ``[L, 2]``.
-    """
 
-    def __init__(self, count: int, links: NDArray[np.int64]) -> None:
-        self.of = np.full(count, 1 / count)
-        self._ends = np.concatenate([links, links[:, ::-1]])
-
-    def move(self) -> None:
-        """Spread the probabilities as one walks on, or along a link, or is carried anywhere."""
-        count = len(self.of)
-        belief = np.convolve(self.of, MOVES)[2 : 2 + count]
-        np.maximum.at(belief, self._ends[:, 1], LINKED * self.of[self._ends[:, 0]])
-        self.of = (1 - ELSEWHERE) * belief / belief.sum() + ELSEWHERE / count
-
-    def frame(self) -> tuple[int, float]:
-        """Return the present frame, and how likely one is around it."""
-        around = int(np.convolve(self.of, np.ones(2 * AROUND + 1), "same").argmax())
-        first = max(0, around - AROUND)
-        frame = first + int(self.of[first : around + AROUND + 1].argmax())
-        return frame, float(self.of[max(0, frame - 8) : frame + 9].sum())
+def present(belief: NDArray[np.float64]) -> tuple[int, float]:
+    """Return the present frame by the probabilities of the frames, ``[N]``, and how likely one is around it."""
+    around = int(np.convolve(belief, np.ones(2 * AROUND + 1), "same").argmax())
+    first = max(0, around - AROUND)
+    frame = first + int(belief[first : around + AROUND + 1].argmax())
+    return frame, float(belief[max(0, frame - 8) : frame + 9].sum())
 
 
 class Guide:
@@ -157,7 +146,7 @@ class Guide:
         self._scores = found.scores.copy()
         self._photo = self.matcher.describe([self._fitted(photos[len(photos) // 2])])
         self._links = graph.graph.copy()
-        self.belief = Belief(len(graph), graph.links)
+        self.belief = np.full(len(graph), 1 / len(graph))
         self._window = max(AHEAD, round(ON_THE_WAY / graph.spacing))
         self._steps: dict[tuple[int, int], float] = {}
         self._missed = MISSED
@@ -170,7 +159,7 @@ class Guide:
     def see(self, frame: NDArray[np.uint8]) -> Guidance:
         """Say what to do where a frame is seen, RGB, uint8 ``[H, W, 3]``."""
         seen = self.localise(frame)
-        here, sure = self.belief.frame()
+        here, sure = present(self.belief)
         if sure < SURE or not np.isfinite(self._far[here]):
             self._missed = MISSED
             return Guidance("lost", 0.0, here, sure)
@@ -227,23 +216,23 @@ class Guide:
     def localise(self, frame: NDArray[np.uint8]) -> Described:
         """Take in a frame while nobody asks what to do: moves spread the belief, and what is seen weighs it."""
         seen = self.matcher.describe([self._fitted(frame)])
-        self.belief.move()
+        self.belief = spread(self.belief, self.graph.links)
         # Else all recordings of a place would be as likely as the one that is followed, and paths change at every view.
         everywhere = self._views % (EVERYWHERE if self._missed < MISSED else 3) == 0
         self._views += 1
-        likely = None if everywhere else self.belief.of
+        likely = None if everywhere else self.belief
         likelihood = np.exp(LIKE * self.matcher.likeness(seen, self.graph.described, likely))
         if np.isfinite(self.graph.scale.unit):
-            some = np.argsort(-self.belief.of * likelihood)[:COMPARED]
+            some = np.argsort(-self.belief * likelihood)[:COMPARED]
             agreeing = self.matcher.fit(seen, self.graph.described, some.tolist()).score
             likelihood[some] *= (1 + agreeing / self.graph.scale.unit) ** 2
-        belief = self.belief.of * likelihood
-        self.belief.of = belief / belief.sum()
+        belief = self.belief * likelihood
+        self.belief = belief / belief.sum()
         return seen
 
     def forget(self) -> None:
         """Doubt where one is and how far one came, as somebody must who has to wander about."""
-        self.belief.of = (1 - FORGOTTEN) * self.belief.of + FORGOTTEN / len(self.graph)
+        self.belief = (1 - FORGOTTEN) * self.belief + FORGOTTEN / len(self.graph)
         self._since, self._least = 0, float("inf")
 
     def _path(self, here: int) -> list[int]:
