@@ -45,18 +45,20 @@ ACROSS = 2 * float(np.degrees(np.arctan(WIDTH / HEIGHT * np.tan(np.radians(VERTI
 class Options:
     """Led by a recording in MiniWorld."""
 
-    episodes: int = option("in each family", 4)
+    episodes: int = option("in each family; 0 counts links alone", 4)
+    seed: int = option("of walls and walks", 0)
     points: str | None = option("xfeat | sift; null = what is installed", None)
     families: list[str] = option("of rooms and mazes", list(FAMILIES))
 
 
-def main(episodes: int, points: str | None, families: list[str]) -> None:
+def main(episodes: int, seed: int, points: str | None, families: list[str]) -> None:
     """Print a table: links, goals reached on the way to the photo, and on the way to a random frame."""
     matcher = Matcher(points)
     print("| family | frames | links | wrong | led to the photo | led to a random frame | steps, median |")
     print("|---|--:|--:|--:|--:|--:|--:|")
     for family in families:
-        world, rng = MiniWorld(family, height=HEIGHT, width=WIDTH, field_of_view=VERTICAL), np.random.default_rng(0)
+        world = MiniWorld(family, seed=seed, height=HEIGHT, width=WIDTH, field_of_view=VERTICAL)
+        rng = np.random.default_rng(seed)
         frames, poses = wander(world, rng)
         graph = map_recordings([[(frame, float(n), None) for n, frame in enumerate(frames)]], matcher, ACROSS)
         graph = find_links(graph, matcher)
