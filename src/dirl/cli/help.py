@@ -41,11 +41,11 @@ def show(text: str, schema: type | None, arguments: Sequence[str]) -> NoReturn:
     given = [argument for argument in arguments if not argument.startswith("-")]
     composed = compose_training(given, return_hydra_config=True)
     choices = composed.hydra.runtime.choices
-    told = meanings(TrainConfig)
+    explanations = meanings(TrainConfig)
     for group in choices:
         file = CONF / group / f"{choices[group]}.yaml"
         if file.is_file() and group != "hydra":
-            told |= {f"{group}.{name}": meaning for name, meaning in comments(file).items()}
+            explanations |= {f"{group}.{name}": meaning for name, meaning in comments(file).items()}
     groups = [folder for folder in sorted(CONF.iterdir()) if folder.is_dir() and folder.name != "hydra"]
     listed = [f"{group.name}: {', '.join(sorted(file.stem for file in group.glob('*.yaml')))}\n" for group in groups]
     values = OmegaConf.to_container(
@@ -53,13 +53,13 @@ def show(text: str, schema: type | None, arguments: Sequence[str]) -> NoReturn:
         resolve=False,
         enum_to_str=True,
     )
-    options = f"== Options: name=value ==\n{explained(values, told)}"
+    options = f"== Options: name=value ==\n{explained(values, explanations)}"
     _end(f"{_unindented(text)}\n\n== Groups: group=choice ==\n{''.join(listed)}\n{options}")
 
 
-def explained(values: Any, told: Mapping[str, str]) -> str:
+def explained(values: Any, text: Mapping[str, str]) -> str:
     """Return nested values as lines of YAML, each with what it means beside it."""
-    return "".join(f"{line:<36}  # {told[name]}\n" if told.get(name) else f"{line}\n" for line, name in _lines(values))
+    return "".join(f"{line:<36}  # {text[name]}\n" if text.get(name) else f"{line}\n" for line, name in _lines(values))
 
 
 def _lines(values: Mapping[str, object], name: str = "", indent: str = "") -> Iterator[tuple[str, str]]:
@@ -83,11 +83,11 @@ def shown(value: object) -> str:
 def _ask_hydra(arguments: Sequence[str]) -> str:
     """Return what Hydra prints for a flag that shows something."""
     sys.argv = ["dirl" if VARIABLE in os.environ else sys.argv[0], *arguments]  # what a shell's script completes
-    told = io.StringIO()
+    output = io.StringIO()
     main = hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")(lambda _: None)
-    with contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):
+    with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
         main()
-    return told.getvalue()
+    return output.getvalue()
 
 
 def _unindented(text: str) -> str:

@@ -43,16 +43,16 @@ def _run_folder(resume: str | None, out: str | None, system: str, scene: object,
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Within this context an error of Hydra or OmegaConf is a `ConfigError` of one line: what it says, and its cause.
+    """Turn an error of Hydra or OmegaConf within this context into a `ConfigError` of one line: its text and cause.
 
     Where they looked, and where to read on, is left out.
     """
     try:
         yield
     except (HydraException, OmegaConfBaseException) as error:
-        said = [str(one) for one in (error, error.__cause__) if one is not None]
+        said = [str(each) for each in (error, error.__cause__) if each is not None]
         ends = r"\n\s*(?:full_key|object_type|Config search path|See https|Set the env)|\s*\nDid you mean"
-        text = ": ".join(" ".join(re.split(ends, one)[0].split()) for one in said).removeprefix(
+        text = ": ".join(" ".join(re.split(ends, part)[0].split()) for part in said).removeprefix(
             "Error merging override "
         )
         for plugin in set(re.findall(r"'hydra/(?:launcher|sweeper)/(\w+)'", text)) & set(EXTRAS):
@@ -84,8 +84,8 @@ def parse(schema: type[T], arguments: Sequence[str]) -> T:
         for name in map(str, config):
             if OmegaConf.is_missing(config, name):
                 raise ConfigError(f"{name} must be given: {meanings(schema)[name]}")
-        found: T = typed(config)
-        return found
+        options: T = typed(config)
+        return options
 
 
 def parsed(text: str) -> Override:
@@ -146,7 +146,7 @@ def prepare(arguments: Sequence[str]) -> list[str]:
         group = re.split(r"[/.]", name)[0]
         if group == "hydra" or "@" in text.partition("=")[0] or (CONF / name).is_dir():
             several = name == "losses"  # the one group of which a list may be chosen
-            if group != "hydra" and any(isinstance(one, dict if several else dict | list) for one in _values(override)):
+            if group != "hydra" and any(isinstance(v, dict if several else dict | list) for v in _values(override)):
                 raise ConfigError(f"{text}: must name a choice of {name}: --help lists them")
             prepared.append(text)
         elif "." in name and group in GROUPS:
@@ -165,10 +165,10 @@ def _values(override: Override) -> list[object]:
 
 def _constant(name: str, override: Override) -> str:
     """Return a number given for a schedule as a constant schedule; any other argument unchanged."""
-    plain = [one.text if isinstance(one, QuotedString) else one for one in _values(override)]
-    if any(not isinstance(one, int | float) or isinstance(one, bool) for one in plain):
+    plain = [value.text if isinstance(value, QuotedString) else value for value in _values(override)]
+    if any(not isinstance(value, int | float) or isinstance(value, bool) for value in plain):
         return str(override.input_line)
-    return f"{name}=" + ",".join(f"{{start:{one},end:{one}}}" for one in plain)
+    return f"{name}=" + ",".join(f"{{start:{value},end:{value}}}" for value in plain)
 
 
 def compose_training(arguments: Sequence[str], **kwargs: bool) -> DictConfig:

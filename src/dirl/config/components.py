@@ -86,7 +86,7 @@ def components(config: TrainConfig) -> Mapping[str, Options]:
     Raises:
         ConfigError: a value that is no component.
     """
-    found = {}
+    chosen = {}
     for group in GROUPS:
         value = getattr(config, group)
         if group == "losses" and not isinstance(value, Mapping):
@@ -96,10 +96,10 @@ def components(config: TrainConfig) -> Mapping[str, Options]:
             if not isinstance(options, Mapping) or TARGET not in options:
                 raise ConfigError(f"{full}: names no class; give it {full}.{TARGET}=package.module.Class")
             if options[TARGET] is not None:
-                found[full] = dict(options)
+                chosen[full] = dict(options)
             elif group not in NONE:
                 raise ConfigError(f"{full}.{TARGET}=null: a training needs one; leave it out, or name a class")
-    return found
+    return chosen
 
 
 def packages_to_trust(config: TrainConfig) -> list[str]:
@@ -141,24 +141,22 @@ def find_class(name: str, target: object, trust: Collection[str] | None = None) 
             f"{where}: a configuration from a file names a class of '{package}'; trust=[{package}] allows it"
         )
     try:
-        found = getattr(importlib.import_module(module_name), class_name)
+        cls = getattr(importlib.import_module(module_name), class_name)
     except (ImportError, AttributeError) as error:
         raise ConfigError(f"{where}: there is no such class ({error}); is its folder on PYTHONPATH?") from None
-    if not inspect.isclass(found):
+    if not inspect.isclass(cls):
         raise ConfigError(f"{where}: is no class")
     group = name.split(".")[0]
-    if missing := [method for method in METHODS.get(group, ()) if not callable(getattr(found, method, None))]:
-        gym = (
-            "; an environment that has reset and step: dirl.sources.gym.GymSimulator" if hasattr(found, "step") else ""
-        )
+    if missing := [method for method in METHODS.get(group, ()) if not callable(getattr(cls, method, None))]:
+        gym = "; an environment that has reset and step: dirl.sources.gym.GymSimulator" if hasattr(cls, "step") else ""
         raise ConfigError(f"{where}: has no method {missing[0]}, which every {group} has{gym}")
     base = BASES.get(group, MODULE)
-    if group not in METHODS and base not in {f"{one.__module__}.{one.__qualname__}" for one in found.__mro__}:
+    if group not in METHODS and base not in {f"{each.__module__}.{each.__qualname__}" for each in cls.__mro__}:
         raise ConfigError(f"{where}: must be a subclass of {base}")
     # `dirl.envs.navigation.EnvBase` is a class that dirl only imports.
-    if trust is not None and target not in PUBLIC and found.__module__.split(".")[0] != package:
-        raise ConfigError(f"{where}: is not defined in '{package}' but in '{found.__module__}'; name it there")
-    return found
+    if trust is not None and target not in PUBLIC and cls.__module__.split(".")[0] != package:
+        raise ConfigError(f"{where}: is not defined in '{package}' but in '{cls.__module__}'; name it there")
+    return cls
 
 
 def class_parameters(cls: type) -> Parameters:
@@ -166,7 +164,7 @@ def class_parameters(cls: type) -> Parameters:
 
     What a base needs is not required: the class itself may give it.
     """
-    found: Parameters = {}
+    parameters: Parameters = {}
     # TorchRL's metaclasses hide a class's own signature.
     for constructor in (vars(owner)["__init__"] for owner in cls.__mro__ if "__init__" in vars(owner)):
         try:
@@ -174,11 +172,12 @@ def class_parameters(cls: type) -> Parameters:
         except (NameError, TypeError):  # a name that is only imported for type checkers
             hints = {}
         own = list(inspect.signature(constructor).parameters.values())[1:]
-        named = [one for one in own if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
-        found = {one.name: (hints.get(one.name, Any), one.default is one.empty and not found) for one in named} | found
-        if all(one.kind is not one.VAR_KEYWORD for one in own):
+        named = [p for p in own if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+        new = {p.name: (hints.get(p.name, Any), p.default is p.empty and not parameters) for p in named}
+        parameters = new | parameters
+        if all(p.kind is not p.VAR_KEYWORD for p in own):
             break
-    return found
+    return parameters
 
 
 def check_options(name: str, parameters: Parameters, options: Options) -> None:
@@ -212,7 +211,7 @@ def schedules(name: str, options: Options) -> dict[str, Schedule]:
     Raises:
         ConfigError: one is no finite number.
     """
-    made = {}
+    by_name = {}
     for option, value in {"weight": 1.0, **options}.items():
         changes = isinstance(value, Mapping) and set(value) == {"start", "end"}
         if not changes and option != "weight":
@@ -220,8 +219,8 @@ def schedules(name: str, options: Options) -> dict[str, Schedule]:
         ends = value if changes else {"start": value, "end": value}
         for end in ends.values():
             check_value(f"{name}.{option}", end, float)
-        made[option] = Schedule(**{key: float(end) for key, end in ends.items()})
-    return made
+        by_name[option] = Schedule(**{key: float(end) for key, end in ends.items()})
+    return by_name
 
 
 def make(name: str, options: Options, trust: Collection[str] | None = None, **offered: object) -> Any:
@@ -260,12 +259,12 @@ CODE = (ArithmeticError, AssertionError, AttributeError, LookupError, NameError,
 
 
 @contextmanager
-def tried(name: str, made: object, how: str = "") -> Iterator[None]:
-    """Within this context an error of a component is told in one line.
+def tried(name: str, used: object, how: str = "") -> Iterator[None]:
+    """Report an error of a component within this context in one line.
 
     Args:
         name: of the component, ``losses.a2c``.
-        made: the component.
+        used: the component.
         how: it is called, for the error.
 
     Raises:
@@ -276,7 +275,7 @@ def tried(name: str, made: object, how: str = "") -> Iterator[None]:
     except ConfigError:
         raise
     except CODE as error:
-        raise ConfigError(f"{name}: cannot be called as it should{how}: {describe_error(error, type(made))}") from None
+        raise ConfigError(f"{name}: cannot be called as it should{how}: {describe_error(error, type(used))}") from None
 
 
 def describe_error(error: Exception, cls: type) -> str:
@@ -292,12 +291,12 @@ def describe_error(error: Exception, cls: type) -> str:
     return f"{says} ({Path(file).name}, line {lines[-1]})" if file and lines else says
 
 
-def check_choice(told: str, given: str, choices: Collection[str], prefix: str = "") -> None:
-    """Raise `ConfigError` unless there is such a choice; ``told`` is what there is not."""
+def check_choice(what: str, given: str, choices: Collection[str], prefix: str = "") -> None:
+    """Raise `ConfigError` unless there is such a choice; ``what`` names what is missing."""
     if given not in choices:
         near = difflib.get_close_matches(given, choices, n=1)
         hint = f"did you mean {prefix}{near[0]}?" if near else f"choose from {', '.join(choices) or 'none'}"
-        raise ConfigError(f"there is no {told}; {hint}")
+        raise ConfigError(f"there is no {what}; {hint}")
 
 
 def check_value(name: str, value: object, annotation: Any) -> None:

@@ -28,21 +28,21 @@ def typed(config: DictConfig) -> Any:
         ConfigError: a value is missing, of the wrong type, or outside its limits.
     """
     try:
-        made = OmegaConf.to_object(config)
+        options = OmegaConf.to_object(config)
         for name, value in config.items():
             if isinstance(value, DictConfig) and OmegaConf.get_type(value) is dict:  # plain, also what is interpolated
-                setattr(made, str(name), OmegaConf.to_container(value, resolve=True, enum_to_str=True))
+                setattr(options, str(name), OmegaConf.to_container(value, resolve=True, enum_to_str=True))
     except OmegaConfBaseException as error:
         raise ConfigError(f"{error.full_key or 'an option'}: {str(error).splitlines()[0]}") from None
     scene = OmegaConf.select(config, "scene")
-    for one in scene if OmegaConf.is_list(scene) else [scene]:
-        if one is not None and not isinstance(one, str):
+    for name_of_scene in scene if OmegaConf.is_list(scene) else [scene]:
+        if name_of_scene is not None and not isinstance(name_of_scene, str):
             raise ConfigError(f"scene={scene}: must be a name, a path, or a list of them")
-    kinds = option_types(type(made), bounds=True)
+    kinds = option_types(type(options), bounds=True)
     for name, value in leaves(OmegaConf.to_container(config, resolve=True)).items():
         if type(value) in (int, float):  # of other values OmegaConf has checked the types
             check_value(name, value, kinds.get(name, int | float))
-    return made
+    return options
 
 
 def plain(config: object) -> dict[str, Any]:
@@ -53,19 +53,19 @@ def plain(config: object) -> dict[str, Any]:
 
 def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
     """Return the values of a nested configuration by dotted name; goals and lists are values."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, value in config.items():
         inside = isinstance(value, Mapping) and name != "goals"
-        found |= leaves(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
-    return found
+        values |= leaves(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
+    return values
 
 
 def names(option: str, value: object) -> list[str]:
     """Return the names that an option gives, one or a list of them; `ConfigError` if it gives something else."""
     given = value if isinstance(value, list) else [value]
-    if not given or not all(isinstance(one, str | int) and not isinstance(one, bool) for one in given):
+    if not given or not all(isinstance(name, str | int) and not isinstance(name, bool) for name in given):
         raise ConfigError(f"{option}={value}: must be the name of a file or a folder, or a list of them")
-    return [str(one) for one in given]
+    return [str(name) for name in given]
 
 
 def config_text(config: TrainConfig) -> str:
@@ -199,8 +199,8 @@ def load_simulator(file: str, trust: Collection[str] | None = None) -> Any:
     Raises:
         ConfigError: there is no such file or class, or it lacks a member of `dirl.scenes.live.Simulator`.
     """
-    made = make("simulator", own_options("simulator", Path(file)), trust)
+    world = make("simulator", own_options("simulator", Path(file)), trust)
     for name in ("name", "pose"):  # its methods have been looked for in its class
-        if not hasattr(made, name):
-            raise ConfigError(f"simulator={file}: {type(made).__name__} has no {name}; see dirl.scenes.live.Simulator")
-    return made
+        if not hasattr(world, name):
+            raise ConfigError(f"simulator={file}: {type(world).__name__} has no {name}; see dirl.scenes.live.Simulator")
+    return world

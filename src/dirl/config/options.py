@@ -30,22 +30,22 @@ def option(meaning: str = "", default: object = MISSING) -> Any:
 
 def option_types(schema: type, prefix: str = "", *, bounds: bool = False) -> dict[str, Any]:
     """Return the types of all options by their dotted names; with ``bounds`` as they are annotated."""
-    found: dict[str, Any] = {}
+    types: dict[str, Any] = {}
     for name, kind in get_type_hints(schema, include_extras=bounds).items():
-        found[prefix + name] = kind
+        types[prefix + name] = kind
         if isinstance(kind, type) and is_dataclass(kind):
-            found |= option_types(kind, f"{prefix}{name}.", bounds=bounds)
-    return found
+            types |= option_types(kind, f"{prefix}{name}.", bounds=bounds)
+    return types
 
 
 def meanings(schema: type, prefix: str = "") -> dict[str, str]:
     """Return what the options mean, by their dotted names."""
-    found, kinds = {}, get_type_hints(schema)
+    texts, kinds = {}, get_type_hints(schema)
     for each in fields(schema):
-        found[prefix + each.name] = each.metadata.get("meaning", "")
+        texts[prefix + each.name] = each.metadata.get("meaning", "")
         if isinstance(kinds[each.name], type) and is_dataclass(kinds[each.name]):
-            found |= meanings(kinds[each.name], f"{prefix}{each.name}.")
-    return found
+            texts |= meanings(kinds[each.name], f"{prefix}{each.name}.")
+    return texts
 
 
 def comments(file: Path) -> dict[str, str]:

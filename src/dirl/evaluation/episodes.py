@@ -44,7 +44,7 @@ class Episodes:
 
     @classmethod
     def failed(cls, goal_index: Tensor, start: Tensor, shortest: Tensor, max_steps: int) -> "Episodes":
-        """Episodes that have not arrived anywhere, to be filled in."""
+        """Return episodes that have not arrived anywhere, to be filled in."""
         never = (torch.zeros_like(start, dtype=torch.bool) for _ in range(3))
         return cls(goal_index, start, shortest, torch.full_like(start, max_steps), *never)
 
@@ -54,14 +54,14 @@ class Episodes:
 
 
 def every_start(world: World) -> tuple[Tensor, Tensor]:
-    """Each goal with each state that reaches it and is not it: goal index and start, int64 ``[E]`` each."""
+    """Return each goal with each other state that reaches it: goal index and start, int64 ``[E]`` each."""
     goal_index, start = world.pairs()
     reaches = world.distances > 0
     return goal_index[reaches], start[reaches]
 
 
 def sampled_starts(world: World, per_goal: int, seed: int) -> tuple[Tensor, Tensor]:
-    """``per_goal`` starts for each goal, sampled uniformly with replacement, as in the paper's section 4.5.2."""
+    """Sample ``per_goal`` starts for each goal, uniformly with replacement, as in the paper's section 4.5.2."""
     generator = torch.Generator().manual_seed(seed)
     drawn = []
     for index, offset in enumerate(world.offsets):
@@ -227,7 +227,7 @@ class EvaluationProtocol:
     def trajectories(
         self, policy: nn.Module, starts: tuple[Tensor, Tensor], *, greedy: bool = True
     ) -> tuple[Episodes, list[list[int]]]:
-        """Episodes from given starts, and the states that each passed, from its start to its last state."""
+        """Return episodes from given starts, and the states that each passed, from its start to its last state."""
         passed: list[tuple[Tensor, Tensor, Tensor]] = []
         episodes = replace(self, starts=starts, walked=()).run(policy, greedy=greedy, passed=passed)
         paths = [[state] for state in starts[1].tolist()]
@@ -237,7 +237,7 @@ class EvaluationProtocol:
         return episodes, paths
 
     def walks(self, policy: nn.Module, starts: tuple[Tensor, Tensor]) -> list[Tensor]:
-        """The actions of greedy episodes from given starts, until each stops or fails; int64 ``[steps]`` each."""
+        """Return actions of greedy episodes from given starts, until each stops or fails; int64 ``[steps]`` each."""
         passed: list[tuple[Tensor, Tensor, Tensor]] = []
         replace(self, starts=starts, walked=()).run(policy, passed=passed)
         episode, _, action = (torch.cat(parts) for parts in zip(*passed, strict=True))
@@ -253,7 +253,7 @@ def drawn_looks(
     besides: Tensor | None = None,
     looks: range | None = None,
 ) -> Tensor:
-    """States or goals, int64 ``[B]`` below ``count``, each in a look sampled for it: ``look * count + index``.
+    """Sample a look for each state or goal, int64 ``[B]`` below ``count``; return ``look * count + index``.
 
     It is one of ``looks``, or of all that the world has, but not that of ``besides``, int64 ``[B]``: those of the
     goals, which shall not return to the bit.
@@ -270,7 +270,7 @@ def drawn_looks(
 
 
 def _arrived(world: World, stop: Tensor | StopRule | None) -> StopRule:
-    """True if agents stop, by a table, a function, or exactly at the goal."""
+    """Return True where agents stop, by a table, a function, or exactly at the goal."""
     states, goals = len(world), len(world.goals)
     if stop is None:
         return lambda wanted, ahead: ahead % states == world.goals[wanted % goals]

@@ -22,7 +22,7 @@ class Remembered:
         self.encoder, self.known, self.most = encoder, dict[bytes, Tensor](), images
 
     def __call__(self, images: Tensor) -> Tensor:
-        """Features of images, uint8 ``[N, H, W, 3]``."""
+        """Return features of images, uint8 ``[N, H, W, 3]``."""
         keys = [sha256(image.numpy().tobytes()).digest() for image in images.cpu()]
         new = {key: index for index, key in enumerate(keys) if key not in self.known}
         if new:
@@ -61,7 +61,7 @@ def evaluate_live(
     turn = 360 / turns_per_circle(scene.graph)
     within = shortest_move(scene) / 2
     shortest = torch.from_numpy(scene.distances[start.numpy(), goal_state.numpy()].astype(np.int64))
-    found = Episodes.failed(goal_state, start, shortest, max_steps)
+    episodes = Episodes.failed(goal_state, start, shortest, max_steps)
     pairs = list(zip(goal_state.tolist(), start.tolist(), strict=True))
     for episode, (goal, first) in enumerate(tqdm(pairs, desc="live", unit=" episodes", disable=None)):
         wanted = state_pose(scene, goal)
@@ -72,10 +72,10 @@ def evaluate_live(
             decision = navigator.act(world.views())
             there = arrived(world.pose, wanted, within, turn / 2)
             if there if told else decision.stop:
-                found.success[episode], found.false_stop[episode] = there, not there
-                found.steps[episode] = step if there else max_steps
+                episodes.success[episode], episodes.false_stop[episode] = there, not there
+                episodes.steps[episode] = step if there else max_steps
                 break
-            found.missed_stop[episode] |= there
+            episodes.missed_stop[episode] |= there
             if step < max_steps:
                 world.step(int(decision.action))
-    return found
+    return episodes

@@ -34,7 +34,7 @@ def map_scene(
     *,
     panorama: bool = False,
 ) -> tuple[PlaceMap, list[int]]:
-    """A map by one walk through a scene from a random state, and the states passed, by their places in the scene.
+    """Map a scene by one walk from a random state; return the map and the states passed, by their places in the scene.
 
     It has at most ``steps_per_state`` steps for each state. Every visit has a look sampled for it; the scores are log
     odds that two visits are of the same place. The walker sees four views, or in a ``panorama`` those of all headings,

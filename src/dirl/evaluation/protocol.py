@@ -48,15 +48,15 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]
     }
     if isinstance(policy, RandomPolicy):
         return {**baselines, "greedy": baselines["random"], "sampled": baselines["random"]}
-    found = {
+    reports = {
         **baselines,
         "greedy": report(protocol.run(policy), world, protocol.metric),
         "sampled": report(protocol.run(policy, greedy=False), world, protocol.metric),
     }
     if isinstance(protocol.memory, PlanningMemory | LocalisingMemory) and protocol.maps is None:
         # No policy, but the same memory, stop, panorama and arrows.
-        found["sweep"] = report(replace(protocol, walked=()).run(RandomPolicy()), world, protocol.metric)
-    return found if protocol.live is None else found | assess_live(policy, protocol.live)
+        reports["sweep"] = report(replace(protocol, walked=()).run(RandomPolicy()), world, protocol.metric)
+    return reports if protocol.live is None else reports | assess_live(policy, protocol.live)
 
 
 def assess_live(policy: nn.Module, live: Callable[..., Episodes]) -> dict[str, dict[str, float]]:
@@ -77,7 +77,7 @@ def metrics(episodes: Episodes, metric: Metric | None = None) -> dict[str, float
     """
     success = episodes.success.double()
     steps, shortest = episodes.steps.double(), episodes.shortest.double()
-    found = {
+    means = {
         "atl": steps.mean().item(),
         "atl_success": steps[episodes.success].mean().item(),
         "sr": success.mean().item(),
@@ -88,19 +88,19 @@ def metrics(episodes: Episodes, metric: Metric | None = None) -> dict[str, float
         "episodes": len(steps),
     }
     if metric is None:
-        return found
+        return means
     with tried("metric", metric):
         own = metric(episodes)
         if not isinstance(own, Mapping) or not own:
             raise TypeError(f"gave {type(own).__name__}; expected numbers by name")
-        wrong = [name for name, value in own.items() if not isinstance(value, int | float) or name in found]
+        wrong = [name for name, value in own.items() if not isinstance(value, int | float) or name in means]
         if wrong:
             raise TypeError(f"{wrong[0]}={own[wrong[0]]!r:.40}: expected a number under a name of its own")
-    return found | {name: float(value) for name, value in own.items()}
+    return means | {name: float(value) for name, value in own.items()}
 
 
 def report(episodes: Episodes, world: World, metric: Metric | None = None) -> Report:
-    """`metrics` overall; under ``scenes`` those of each scene, and under its ``goals`` those of each goal's state."""
+    """Return `metrics` overall; under ``scenes`` those of each scene, and under its ``goals`` those of each goal."""
     summary: Report = {**metrics(episodes, metric), "scenes": {}}
     order = torch.argsort(episodes.goal_index, stable=True)
     sizes = torch.bincount(episodes.goal_index, minlength=len(world.goals)).tolist()
@@ -145,7 +145,7 @@ class EpisodeMeter:
         self.near_at = self._since(self.near_at, frames, [NEAR * fewest for fewest in self.shortest])
 
     def _since(self, before: int | None, frames: int, limits: Sequence[float]) -> int | None:
-        """Since when every goal is within its limit, given what it was before these frames."""
+        """Return since when every goal is within its limit, given what it was before these frames."""
         within = (
             len(last) == WINDOW and total <= limit * WINDOW
             for last, total, limit in zip(self.steps, self.totals, limits, strict=True)

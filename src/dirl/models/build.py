@@ -80,8 +80,8 @@ def _output_width(name: str, made: object, call: Callable[[], object], shape: li
     with tried(name, made, f", on features {shape}"), torch.no_grad():
         result = call()
     if not isinstance(result, Tensor) or result.ndim != 2 or len(result) != 1:
-        found = list(result.shape) if isinstance(result, Tensor) else type(result).__name__
-        raise ConfigError(f"{name}: gives {found} for one row; expected [1, width]")
+        given = list(result.shape) if isinstance(result, Tensor) else type(result).__name__
+        raise ConfigError(f"{name}: gives {given} for one row; expected [1, width]")
     return result.shape[1]
 
 
@@ -140,7 +140,7 @@ def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tens
 
 
 def reads_patches(config: TrainConfig) -> bool:
-    """True if the encoder compares patches: its constructor takes ``patch_shape``."""
+    """Return True if the encoder compares patches: its constructor takes ``patch_shape``."""
     return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))
 
 
@@ -179,14 +179,14 @@ def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, 
     Raises:
         ConfigError: they do not fit.
     """
-    own = {name.replace(".", "_") for name in scenes} | {"shared"}
+    heads = {name.replace(".", "_") for name in scenes} | {"shared"}
     try:
-        found = {
+        chosen = {
             name: value
             for name, value in weights.items()
-            if not scenes or ".scenes." not in name or name.split(".scenes.")[1].split(".")[0] in own
+            if not scenes or ".scenes." not in name or name.split(".scenes.")[1].split(".")[0] in heads
         }
-        policy.load_state_dict(found)
+        policy.load_state_dict(chosen)
     except (RuntimeError, KeyError, AttributeError) as error:
         reason = " ".join(str(error).split())[:300]
         raise ConfigError(f"{origin}: the weights do not fit the network of its configuration ({reason})") from None

@@ -81,7 +81,7 @@ class ComparingEncoder(nn.Module):
         return torch.cat([patches.flatten(-3), views.flatten(-2)], -1)
 
     def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
-        """Embeddings of observation and goal, ``[B, width + E]`` and ``[B, E]``, to the fused vector ``[B, width]``."""
+        """Fuse embeddings of observation and goal, ``[B, width + E]`` and ``[B, E]``, to a vector ``[B, width]``."""
         seen, *compared = embedding.split([self.width, *self.sizes], -1)
         (patches, views), (goal_patches, goal_views) = compared, goal_embedding.split(self.sizes, -1)
         cosines = _cosines(patches, goal_patches, VIEWS * self.patch_shape[0])
@@ -94,16 +94,16 @@ class ComparingEncoder(nn.Module):
         return F.relu(seen + by_patch + by_view)
 
     def _parts(self, observation: Tensor) -> list[Tensor]:
-        """Pooled features and patches of views."""
+        """Return pooled features and patches of views."""
         patches = self.patch_shape[0] * self.patch_shape[1]
         return list(observation.split([observation.shape[-1] - patches, patches], -1))
 
     def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
-        """Features of observation and goal, float32 ``[B, 4, D]`` each, to the fused vector ``[B, width]``."""
+        """Encode features of observation and goal, float32 ``[B, 4, D]`` each, to the fused vector ``[B, width]``."""
         return self.fuse(self.embed(observation), self.embed_goal(goal_observation))
 
 
 def _cosines(seen: Tensor, goal: Tensor, count: int) -> Tensor:
-    """Of ``count`` vectors with as many others, ``[B, count * width]`` twice to ``[B, count * count]``, scaled."""
+    """Return scaled cosines of ``count`` vectors with as many others, ``[B, count * width]``, as ``[B, count**2]``."""
     products = seen.unflatten(-1, (count, -1)) @ goal.unflatten(-1, (count, -1)).transpose(-1, -2)
     return SCALE * products.flatten(-2)

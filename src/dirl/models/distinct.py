@@ -19,7 +19,7 @@ from dirl.models.features import FeatureTable
 
 
 def reading_waits(tensor: Tensor) -> bool:
-    """True if the CPU, to read a tensor's values, would have to wait for the device that computes them."""
+    """Return True if the CPU, to read a tensor's values, would have to wait for the device that computes them."""
     return tensor.is_cuda
 
 
@@ -65,7 +65,7 @@ class EmbeddingCache:
 
 
 def packable(ids: int, slots: int) -> bool:
-    """True if rows of so many of so many view ids fit into one int64, as four of up to 55,108 pictures do."""
+    """Return True if rows of so many of so many view ids fit into one int64, as four of up to 55,108 pictures do."""
     return ids**slots < 2**63
 
 
@@ -98,10 +98,10 @@ class Cacheable(Protocol):
     """
 
     def embed(self, observation: Tensor) -> Tensor:
-        """Features ``[B, 4, D]`` to ``[B, E]``."""
+        """Embed features ``[B, 4, D]`` to ``[B, E]``."""
 
     def fuse(self, embedding: Tensor, goal_embedding: Tensor) -> Tensor:
-        """``[B, E]`` twice, to ``[B, width]``."""
+        """Fuse two embeddings ``[B, E]`` to ``[B, width]``."""
 
 
 class CachedEncoder(nn.Module):
@@ -141,7 +141,7 @@ class CachedEncoder(nn.Module):
     surrounding: Tensor | None
 
     def forward(self, view_ids: Tensor, goal_view_ids: Tensor) -> Tensor:
-        """View ids of observation and goal, int64 ``[B, 4]`` each, to the fused vector, float32 ``[B, width]``."""
+        """Encode view ids of observation and goal, int64 ``[B, 4]`` each, to a fused vector, float32 ``[B, width]``."""
         encoder, table = self._wrapped
         learns = torch.is_grad_enabled() or self._learns
         embed_goal = getattr(encoder, "embed_goal", None)
@@ -176,7 +176,7 @@ class CachedEncoder(nn.Module):
 
     @contextmanager
     def keeping(self, *, learns: bool) -> Iterator[None]:
-        """A context in which embeddings are kept: to its end, so that weights must not change, as in evaluation.
+        """Keep embeddings to the end of this context, in which weights must not change, as in evaluation.
 
         Where it ``learns``, until a loss has read them; then weights may change.
         """

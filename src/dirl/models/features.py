@@ -104,7 +104,7 @@ class FeatureTable(nn.Module):
         self.table[rows] = self.standardise(features)
 
     def standardise(self, features: Tensor) -> Tensor:
-        """Backbone outputs ``[..., D + patches]`` in the form that the network reads, float32 ``[..., width]``."""
+        """Return backbone outputs ``[..., D + patches]`` as the network reads them, float32 ``[..., width]``."""
         pooled = features[..., : len(self.mean)]
         pooled = (pooled - self.mean) / self.std
         if self.axes is not None:
@@ -121,7 +121,7 @@ class FeatureTable(nn.Module):
 
     @contextmanager
     def noisy(self, deviation: float) -> Iterator[None]:
-        """Within this context Gaussian noise, sampled when it begins, is added to known views; see `NOISE_ROWS`."""
+        """Add Gaussian noise, sampled when this context begins, to known views within it; see `NOISE_ROWS`."""
         self._noise = deviation * torch.randn_like(self.table[:1].expand(NOISE_ROWS + 1, -1).contiguous())
         self._noise[-1] = 0
         try:
@@ -201,7 +201,7 @@ class ObservationTable(FeatureTable):
 
 
 def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of each feature over the states, float32 ``[D]`` each.
+    """Return mean and standard deviation of each feature over the states, float32 ``[D]`` each.
 
     A feature that never changes gets the deviation one, so that it becomes zero. Both are added up by the CPU, for all
     devices alike.
@@ -212,7 +212,7 @@ def feature_statistics(features: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def whitening(features: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean, standard deviation (ones) and axes that whiten features to principal components of unit variance.
+    """Return mean, standard deviation (ones) and axes that whiten features to principal components of unit variance.
 
     Of more than `SAMPLED` states evenly spread ones are used: in double precision all of 300,000 take 15 GB.
     """
@@ -221,5 +221,5 @@ def whitening(features: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _refresh(table: FeatureTable, _: object) -> None:
-    """Of a hook that can be pickled with the module."""
+    """Refresh a table as a hook that can be pickled with its module."""
     table.refresh()

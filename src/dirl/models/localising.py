@@ -81,7 +81,7 @@ class Places(Nodes):
         return replace(self, **{name: value[chosen] for name, value in vars(self).items() if name != "turns"})
 
     def compact(self) -> "Places":
-        """Of one agent, without its unused places."""
+        """Return the places of one agent without unused ones."""
         kept = self.used[0].view(-1, self.turns).any(1).nonzero().flatten()
         row = torch.full((self.position.shape[1],), -1, device=kept.device)
         row[kept] = torch.arange(len(kept), device=kept.device)
@@ -244,12 +244,12 @@ class LocalisingMemory(nn.Module):
         """Add a visit of agents that are at nodes ``here``, int64 ``[B]``; ``K P`` is a new place. See `arrive`."""
         position, heading = self._expected(places)
         turns, new = places.turns, places.cost.shape[1]
-        made = here == new
-        more = int(made.any())  # a place, unless all agents are at earlier ones
-        cost = torch.where(made[:, None, None], UNASKED, math.inf).expand(-1, more * turns, len(ACTIONS))
+        is_new = here == new
+        more = int(is_new.any())  # a place, unless all agents are at earlier ones
+        cost = torch.where(is_new[:, None, None], UNASKED, math.inf).expand(-1, more * turns, len(ACTIONS))
         cost = torch.cat([places.cost, cost], 1)
         faced = places.around(here)
-        first = made[:, None].expand(faced.shape)
+        first = is_new[:, None].expand(faced.shape)
         if faced.shape[1] < turns:  # views of a later visit may be between those of earlier ones
             first = (places.seen.flatten(1)[:, None] != faced[..., None]).all(-1)
         agent, view = first.nonzero(as_tuple=True)
@@ -276,7 +276,7 @@ class LocalisingMemory(nn.Module):
         return arrived
 
     def stops(self, places: Places) -> Tensor:
-        """True if the agents stop where they are, bool ``[B]``."""
+        """Return True where agents stop now, bool ``[B]``."""
         evidence = self._goal(places)
         return self._certain(places, evidence, places.here) & (evidence.argmax(1) == places.here)
 
@@ -300,13 +300,13 @@ class LocalisingMemory(nn.Module):
         # On the way to a goal that was seen, or around a place that is like it, an action more costs more than doubts.
         nearest = torch.where(known | wanted, SURE + torch.where(wanted, places.cost / SURE, 0.0), math.inf)
         seeking = (around | goal.any(1))[:, None, None]
-        found = cheapest(
+        costs = cheapest(
             torch.where(seeking, nearest, torch.where(known, again, places.cost)), places.after, goal, places.here
         )
-        return -torch.where(found.isinf().all(-1, keepdim=True), places.cost[at, places.here], found)
+        return -torch.where(costs.isinf().all(-1, keepdim=True), places.cost[at, places.here], costs)
 
     def _certain(self, places: Places, evidence: Tensor, node: Tensor) -> Tensor:
-        """True if the goal is at a node of each agent with the probability that is asked for, bool ``[B]``."""
+        """Return True where the goal is at a node of the agent with the probability that is asked for, bool ``[B]``."""
         at = torch.arange(len(node), device=node.device)
         # A move back at one heading is the move ahead at the opposite one.
         untried = (places.after[..., AHEAD] < 0) & places.cost[..., AHEAD].isfinite()
@@ -319,7 +319,7 @@ class LocalisingMemory(nn.Module):
         return probability > torch.where(whole, self.settle, self.confidence)
 
     def _expected(self, places: Places) -> tuple[Tensor, Tensor]:
-        """Position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""
+        """Return position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""
         action = places.action
         if _carried(places):
             return action.new_full((len(action), 2), FAR * places.node.shape[1]), torch.zeros_like(action)
@@ -345,7 +345,7 @@ class LocalisingMemory(nn.Module):
         return torch.where(visits > 0, total / (1 + (visits - 1) * self.correlation), -math.inf)
 
     def _sums(self, odds: Tensor, places: Places) -> tuple[Tensor, Tensor]:
-        """The sums of log odds of visits, float32 ``[B, T, V]``, by node, ``[B, K P]``, and how many they are."""
+        """Sum log odds of visits, float32 ``[B, T, V]``, by node, ``[B, K P]``; return the sums and their counts."""
         node = places.seen.flatten(1)
         total = odds.new_zeros(len(odds), places.cost.shape[1]).scatter_add(1, node, odds.flatten(1))
         return total, torch.zeros_like(total).scatter_add(1, node, torch.ones_like(odds).flatten(1))
@@ -353,17 +353,17 @@ class LocalisingMemory(nn.Module):
 
 @cache
 def _steps(turns: int) -> Tensor:
-    """Displacement by a move ahead, facing as at the start, to the right of it, and so on, int64 ``[K, 2]``."""
+    """Return the displacement by a move ahead, facing as at the start, to the right of it, ..., int64 ``[K, 2]``."""
     angle = 2 * math.pi / turns * torch.arange(turns)
     way = torch.stack([angle.sin(), angle.cos()], 1)
     return (MOVE * way / way.abs().amax(1, keepdim=True)).round().long()
 
 
 def _panorama(places: Places) -> bool:
-    """True if agents see all headings of a place at once, as in a tour."""
+    """Return True if agents see all headings of a place at once, as in a tour."""
     return places.goal.shape[2] > VIEWS
 
 
 def _carried(places: Places) -> bool:
-    """True if the agents have not acted yet in this episode; all begin at once."""
+    """Return True if the agents have not acted yet in this episode; all begin at once."""
     return bool((places.action < 0).any())

@@ -38,7 +38,7 @@ class Nodes:
         return self.cost.isfinite().any(-1)
 
     def select(self, chosen: Tensor) -> Self:
-        """Some of the agents, by mask or index."""
+        """Return some of the agents, by mask or index."""
         return type(self)(*(value[chosen] for value in vars(self).values()))
 
 
@@ -100,7 +100,7 @@ class PlanningMemory(nn.Module):
         self.repeated, self.turn, self.threshold = repeated, turn, threshold
 
     def begin(self, turns: Tensor, views: int = VIEWS) -> PlanState:
-        """What agents know at the start of their episodes.
+        """Return what agents know at the start of their episodes.
 
         Args:
             turns: in a full circle, int64 ``[B]``.
@@ -119,11 +119,11 @@ class PlanningMemory(nn.Module):
             next_view=turns == views,
         )
 
-    def arrive(self, walked: PlanState, same: Tensor, cost: Tensor, goal: Tensor) -> PlanState:
+    def arrive(self, before: PlanState, same: Tensor, cost: Tensor, goal: Tensor) -> PlanState:
         """Add where the agents are now, and what their last action led to.
 
         Args:
-            walked: so far, N nodes.
+            before: the state so far, N nodes.
             same: whether each used node looks like where the agent is, bool ``[B, N]``.
             cost: of trying each action facing each of the K views around the agent, float32 ``[B, K, 4]``; those of
                 agents at known nodes are not used.
@@ -137,44 +137,44 @@ class PlanningMemory(nn.Module):
         cost = torch.where(known[:, None, None], math.inf, cost)
         ring = torch.full((agents, views, len(ACTIONS)), -1, device=device)
         ring[:, :, RIGHT], ring[:, :, LEFT] = new.roll(-1), new.roll(1)
-        after = torch.where(walked.next_view[:, None, None], ring, -1)
+        after = torch.where(before.next_view[:, None, None], ring, -1)
         at = torch.arange(agents, device=device)
-        made = PlanState(
-            cost=torch.cat([walked.cost, cost], 1),
-            after=torch.cat([walked.after, after], 1),
-            ring=torch.cat([walked.ring, ring], 1),
-            taken=torch.cat([walked.taken, torch.zeros_like(ring, dtype=torch.bool)], 1),
-            goal=torch.cat([walked.goal, goal & ~known[:, None]], 1),
+        state = PlanState(
+            cost=torch.cat([before.cost, cost], 1),
+            after=torch.cat([before.after, after], 1),
+            ring=torch.cat([before.ring, ring], 1),
+            taken=torch.cat([before.taken, torch.zeros_like(ring, dtype=torch.bool)], 1),
+            goal=torch.cat([before.goal, goal & ~known[:, None]], 1),
             here=here,
-            action=walked.action,
-            next_view=walked.next_view,
+            action=before.action,
+            next_view=before.next_view,
         )
-        made.goal[at, here] = False  # the agent would have stopped
+        state.goal[at, here] = False  # the agent would have stopped
         if nodes:
-            connect(made.after, walked.here, walked.action, here, views, made.taken, made.cost.isfinite())
-            _connect_turns(made, walked.here)
-        return made
+            connect(state.after, before.here, before.action, here, views, state.taken, state.cost.isfinite())
+            _connect_turns(state, before.here)
+        return state
 
-    def plan(self, walked: PlanState, *, steps: bool = False) -> Tensor:
-        """The logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried.
+    def plan(self, state: PlanState, *, steps: bool = False) -> Tensor:
+        """Return the logits of the actions where the agents are, float32 ``[B, 4]``; the policy's where all was tried.
 
         Costs are in nats, or with ``steps`` in actions, so that one whose outcome is known costs 1.
         """
-        seen = walked.goal.any(1)[:, None, None]
+        seen = state.goal.any(1)[:, None, None]
         # To a goal that was seen there is a path: at its place the agent turns until it faces it.
-        after = torch.where(seen & (walked.after < 0), walked.ring, walked.after)
+        after = torch.where(seen & (state.after < 0), state.ring, state.after)
         known = after >= 0
-        again = again_costs(walked.cost, self.repeated, self.turn, steps=steps)
-        step = torch.where(known, torch.where(seen, SURE, again), walked.cost + LAST * seen)
+        again = again_costs(state.cost, self.repeated, self.turn, steps=steps)
+        step = torch.where(known, torch.where(seen, SURE, again), state.cost + LAST * seen)
         # Where a move leads that was not taken is a guess: a passage of one way, or a place taken for another.
         moves = [AHEAD, BACK]
-        guessed = torch.where(known & ~walked.taken, walked.cost + LAST, math.inf)[..., moves]
+        guessed = torch.where(known & ~state.taken, state.cost + LAST, math.inf)[..., moves]
         nowhere = torch.full_like(after[..., moves], -1)
-        found = cheapest(torch.cat([step, guessed], -1), torch.cat([after, nowhere], -1), walked.goal, walked.here)
-        found, retried = found[:, : len(ACTIONS)].clone(), found[:, len(ACTIONS) :]
-        found[:, moves] = torch.minimum(found[:, moves], retried)
-        at = torch.arange(len(walked.here), device=walked.here.device)
-        return -torch.where(found.isinf().all(-1, keepdim=True), walked.cost[at, walked.here], found)
+        costs = cheapest(torch.cat([step, guessed], -1), torch.cat([after, nowhere], -1), state.goal, state.here)
+        costs, retried = costs[:, : len(ACTIONS)].clone(), costs[:, len(ACTIONS) :]
+        costs[:, moves] = torch.minimum(costs[:, moves], retried)
+        at = torch.arange(len(state.here), device=state.here.device)
+        return -torch.where(costs.isinf().all(-1, keepdim=True), state.cost[at, state.here], costs)
 
 
 def again_costs(cost: Tensor, repeated: float, turn: float, *, steps: bool) -> Tensor:
@@ -185,7 +185,7 @@ def again_costs(cost: Tensor, repeated: float, turn: float, *, steps: bool) -> T
 
 
 def cheapest(step: Tensor, after: Tensor, goal: Tensor, here: Tensor) -> Tensor:
-    """Cost of the cheapest path that begins with each action and ends at a goal or with an unknown outcome.
+    """Return the cost of the cheapest path that begins with each action and ends at a goal or an unknown outcome.
 
     Args:
         step: cost of each of A actions at each node, float32 ``[B, N, A]``.
@@ -249,21 +249,21 @@ def connect(
         after[at[chosen], node[chosen], done[chosen]] = outcome[chosen]
 
 
-def _connect_turns(made: PlanState, before: Tensor) -> None:
+def _connect_turns(state: PlanState, before: Tensor) -> None:
     """Note what a turn by less than 90 degrees, from nodes int64 ``[B]``, means for the other three views there."""
-    turned = ((made.action == RIGHT) | (made.action == LEFT)) & (made.here != before) & ~made.next_view
+    turned = ((state.action == RIGHT) | (state.action == LEFT)) & (state.here != before) & ~state.next_view
     at = torch.nonzero(turned)[:, 0]
-    action, new = made.action[at], made.here[at] >= made.ring.shape[1] - VIEWS
+    action, new = state.action[at], state.here[at] >= state.ring.shape[1] - VIEWS
     opposite = torch.tensor(OPPOSITE, device=at.device)[action]
     for right in range(VIEWS):
-        start, end = _turned(before[at], right), _turned(made.here[at], right)
-        made.after[at, start, action], made.after[at, end, opposite] = end, start
-        beyond = made.ring[at, start, action]  # what was seen now lies between
-        made.ring[at[new], end[new], action[new]] = beyond[new]
-        made.ring[at[new], beyond[new], opposite[new]] = end[new]
-        made.ring[at, start, action], made.ring[at, end, opposite] = end, start
+        start, end = _turned(before[at], right), _turned(state.here[at], right)
+        state.after[at, start, action], state.after[at, end, opposite] = end, start
+        beyond = state.ring[at, start, action]  # what was seen now lies between
+        state.ring[at[new], end[new], action[new]] = beyond[new]
+        state.ring[at[new], beyond[new], opposite[new]] = end[new]
+        state.ring[at, start, action], state.ring[at, end, opposite] = end, start
 
 
 def _turned(node: Tensor, right: int, views: int = VIEWS) -> Tensor:
-    """The same place, facing the view that lies so many views to the right."""
+    """Return the node of the same place that faces the view so many views to the right."""
     return node - node % views + (node + right) % views

@@ -70,7 +70,7 @@ class SiameseEncoder(nn.Module):
         return F.relu(embedding + goal_embedding)
 
     def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
-        """Features of observation and goal, float32 ``[..., 4, D]`` each, to the fused vector ``[..., width]``."""
+        """Encode features of observation and goal, float32 ``[..., 4, D]`` each, to a fused vector ``[..., width]``."""
         return self.fuse(self.embed(observation), self.embed_goal(goal_observation))
 
 
@@ -125,7 +125,7 @@ class SceneTrunks(nn.Module):
         self.sorts, self.only = False, slice(None)
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
-        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
+        """Apply each row's scene's layers: rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
         layers = list(self.scenes.values())[self.only]
         if len(layers) == 1:
             return layers[0](rows)
@@ -150,7 +150,7 @@ class SceneLinear(SceneTrunks):
         super().__init__(scenes, lambda: nn.Linear(width, outputs))
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
-        """Rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
+        """Apply each row's scene's layers: rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
         layers = list(self.scenes.values())[self.only]
         if len(layers) == 1:
             return layers[0](rows).float()
@@ -159,7 +159,7 @@ class SceneLinear(SceneTrunks):
 
 
 def _pick(every: Tensor, scene: Tensor) -> Tensor:
-    """Of what every scene's layer made of the rows, ``[..., S, F]``, that of each row's scene, ``[..., F]``."""
+    """Pick each row's scene, ``[..., F]``, from what every scene's layer made of the rows, ``[..., S, F]``."""
     if torch.is_grad_enabled() and reading_waits(every):  # a GPU would sort to take gradients back in a fixed order
         own = scene[..., None] == torch.arange(every.shape[-2], device=scene.device)
         return (every * own[..., None]).sum(-2)
@@ -236,7 +236,7 @@ class ActorCritic(TensorDictModuleBase):
             self.out_keys += [key for key in memory.out_keys if key != "memory"]
 
     def cache(self, surrounding: Tensor | None, *, views: int = VIEWS, front: bool = False) -> None:
-        """From now on embed each distinct observation once, see `CachedEncoder`; faster, but not for ``torch.vmap``.
+        """Embed each distinct observation once from now on, see `CachedEncoder`; faster, but not for ``torch.vmap``.
 
         An encoder without `Cacheable`'s parts, and one of very many views, embeds every row as before.
         """
@@ -249,7 +249,7 @@ class ActorCritic(TensorDictModuleBase):
                 module.sorts = True
 
     def trunk(self) -> TensorDictSequential:
-        """From view ids to ``hidden``."""
+        """Return the modules from view ids to ``hidden``."""
         if self.cached is not None:
             modules: list[nn.Module] = [KeyedModule(self.cached, VIEW_IDS, "fused")]
         else:
@@ -262,7 +262,7 @@ class ActorCritic(TensorDictModuleBase):
         return TensorDictSequential(*modules, KeyedModule(self.heads.trunk, [encoded, "scene"], "hidden"))
 
     def operator(self) -> ActorValueOperator:
-        """TorchRL's operators on these weights: a common trunk to ``hidden``, and two small heads on it.
+        """Return TorchRL's operators on these weights: a common trunk to ``hidden``, and two small heads on it.
 
         The losses are given the heads only, so that the trunk runs once an update for actor and critic together.
         """
@@ -286,9 +286,9 @@ class ActorCritic(TensorDictModuleBase):
 
 
 def caching(policy: object, *, learns: bool) -> AbstractContextManager[None]:
-    """A context in which each observation is embedded once between two weight updates, if the policy supports it.
+    """Embed each observation once between two weight updates within this context, if the policy supports it.
 
-    In one that does not learn, as in evaluation, weights must not change.
+    In a context that does not learn, as in evaluation, weights must not change.
     """
     cached = getattr(policy, "cached", None)
     return nullcontext() if cached is None else cached.keeping(learns=learns)
@@ -296,8 +296,8 @@ def caching(policy: object, *, learns: bool) -> AbstractContextManager[None]:
 
 @contextmanager
 def in_scene(policy: nn.Module, number: int) -> Iterator[None]:
-    """A context in which all rows are of one scene, so that only its layers are applied."""
-    modules = [one for one in policy.modules() if isinstance(one, SceneTrunks) and len(one.scenes) > 1]
+    """Apply only one scene's layers within this context, in which all rows are of it."""
+    modules = [layer for layer in policy.modules() if isinstance(layer, SceneTrunks) and len(layer.scenes) > 1]
     for module in modules:
         module.only = slice(number, number + 1)
     try:
@@ -308,7 +308,7 @@ def in_scene(policy: nn.Module, number: int) -> Iterator[None]:
 
 
 def noisy(policy: object, deviation: float) -> AbstractContextManager[None]:
-    """A context in which Gaussian noise is added to the views, see `FeatureTable`."""
+    """Add Gaussian noise to the views within this context, see `FeatureTable`."""
     return policy.features.noisy(deviation) if deviation else nullcontext()  # type: ignore[attr-defined]
 
 
@@ -331,7 +331,7 @@ def recurrent_keys(policy: nn.Module) -> list[str]:
 
 
 def state_primer(policy: nn.Module) -> TensorDictPrimer:
-    """TorchRL's transform that gives every episode the recurrent state to begin with, zeros.
+    """Return TorchRL's transform that gives every episode the recurrent state to begin with, zeros.
 
     Raises:
         ValueError: the memory names no such state for a key that it writes.
@@ -350,7 +350,7 @@ def state_primer(policy: nn.Module) -> TensorDictPrimer:
 
 
 def initial_state(policy: nn.Module, batch: int, device: torch.device) -> dict[str, Tensor]:
-    """A policy's recurrent state at the beginning of an episode, ``[batch, ...]`` by key; empty without memory."""
+    """Return a policy's recurrent state at the start of an episode, ``[batch, ...]`` by key; empty without memory."""
     if not recurrent_keys(policy):
         return {}
     specs = state_primer(policy).primers

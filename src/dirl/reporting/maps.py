@@ -111,8 +111,8 @@ def draw_policy(
     ]
     if lost.any():
         handles.append(Patch(color=LOST_COLOR, label=f"never arrives, states: {lost.sum()}"))
-    told = f"matches above {threshold:g}, states: {len(above)}"
-    handles.append(Patch(facecolor="none", edgecolor=MATCH_COLOR, linewidth=1.6, label=told))
+    label = f"matches above {threshold:g}, states: {len(above)}"
+    handles.append(Patch(facecolor="none", edgecolor=MATCH_COLOR, linewidth=1.6, label=label))
     handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
     handles.append(marker("*", 11, GOAL_COLOR, "black", f"goal, state {goal}"))
     figure.legend(

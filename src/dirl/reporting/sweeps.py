@@ -74,10 +74,10 @@ def sweep_table(runs: Sequence[Swept], folder: Path, options: Collection[str]) -
     Of the options that were given, by name, those that differ between the runs tell them apart.
     """
     inside = tuple(f"{option}." for option in options)
-    told = [name for name in sorted(differing(runs)) if f"{name}.".startswith(inside)]
+    chosen = [name for name in sorted(differing(runs)) if f"{name}.".startswith(inside)]
     rows = {}
     for run in runs:
-        label = ", ".join(_told(name, run.config.get(name)) for name in told)
+        label = ", ".join(_told(name, run.config.get(name)) for name in chosen)
         name = str(run.folder.relative_to(folder))
         rows[f"{name}: {label}" if label else name] = run.summary["greedy"]
     return result_table(rows, leave_out=["false", "missed", "episodes"])
@@ -110,4 +110,4 @@ def _values(summaries: Sequence[Summary], name: str) -> NDArray[np.float64]:
     """Return a measure of `SPREAD` of the runs that have it."""
     *groups, last = SPREAD[name]
     inner = [summary[groups[0]] if groups else summary for summary in summaries]
-    return np.array([one[last] for one in inner if one[last] is not None], float)
+    return np.array([summary[last] for summary in inner if summary[last] is not None], float)

@@ -177,7 +177,7 @@ def write_goals(measures: Summary, file: Path) -> None:
     with atomic_path(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, list(GOAL_COLUMNS), extrasaction="ignore")
         writer.writeheader()
-        for scene, found in measures["scenes"].items():
-            for goal, of in found["goals"].items():
+        for scene, measured in measures["scenes"].items():
+            for goal, of in measured["goals"].items():
                 shown = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in of.items()}
                 writer.writerow({"scene": scene, "goal": goal, **shown})

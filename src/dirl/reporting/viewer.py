@@ -137,10 +137,10 @@ def _starts(protocol: EvaluationProtocol) -> tuple[Tensor, Tensor]:
 
 def _walks(policy: nn.Module, protocol: EvaluationProtocol, starts: tuple[Tensor, Tensor]) -> dict[int, dict[int, str]]:
     """Return the actions of each episode as digits, by the place of its goal in the world and its start."""
-    found: dict[int, dict[int, str]] = {}
+    by_goal: dict[int, dict[int, str]] = {}
     for goal, start, actions in zip(*(part.tolist() for part in starts), protocol.walks(policy, starts), strict=True):
-        found.setdefault(goal, {})[start] = "".join(map(str, actions.tolist()))
-    return found
+        by_goal.setdefault(goal, {})[start] = "".join(map(str, actions.tolist()))
+    return by_goal
 
 
 def _facts(title: str, protocol: EvaluationProtocol, led: bool, last_steps: int) -> str:
@@ -211,5 +211,5 @@ def page(data: Mapping[str, object]) -> str:
     template, style, script, drawing = (
         folder.joinpath(f"viewer{part}").read_text(encoding="utf-8") for part in (".html", ".css", ".js", "_map.js")
     )
-    made = template.replace("{{style}}", style).replace("{{script}}", drawing + script)
-    return made.replace("{{data}}", text)
+    html = template.replace("{{style}}", style).replace("{{script}}", drawing + script)
+    return html.replace("{{data}}", text)

@@ -72,7 +72,7 @@ class RunError(ValueError):
 
 
 def is_finished(folder: Path) -> bool:
-    """True if a folder holds a finished run."""
+    """Return True if a folder holds a finished run."""
     return (folder / "summary.json").exists() and not training_checkpoints(folder)
 
 
@@ -126,10 +126,10 @@ def finished_folders(folder: Path, hint: str) -> tuple[list[Path], list[Path]]:
         RunError: none is finished; ``hint`` says how to make them.
     """
     folders = sorted(file.parent for file in folder.glob(f"*/{CONFIG_FILE}"))
-    finished = [one for one in folders if is_finished(one)]
+    finished = [run for run in folders if is_finished(run)]
     if not finished:
         raise RunError(f"{folder}: holds no finished run; make some by: {hint}")
-    return finished, [one for one in folders if one not in finished]
+    return finished, [run for run in folders if run not in finished]
 
 
 def save_checkpoint(file: Path, state: State) -> None:
@@ -149,9 +149,9 @@ def save_checkpoint(file: Path, state: State) -> None:
 def _by_itself(value: Any) -> Any:
     """Return the same with copies of tensors that are views, of which torch would write the whole."""
     if isinstance(value, dict):
-        return {key: _by_itself(one) for key, one in value.items()}
+        return {key: _by_itself(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_by_itself(one) for one in value]
+        return [_by_itself(inner) for inner in value]
     is_view = isinstance(value, torch.Tensor) and value.untyped_storage().nbytes() > value.nbytes
     return value.clone() if is_view else value
 
@@ -166,10 +166,10 @@ def load_checkpoint(path: str | Path) -> State:
     Raises:
         RunError: there is none, or it is damaged.
     """
-    found = find_checkpoint(path)
-    if found.is_file():
-        return read_checkpoint(found)
-    return latest_checkpoint(found)[0]
+    file = find_checkpoint(path)
+    if file.is_file():
+        return read_checkpoint(file)
+    return latest_checkpoint(file)[0]
 
 
 def latest_checkpoint(folder: Path, check: Callable[[Path, State], None] = lambda *_: None) -> tuple[State, list[Path]]:
@@ -235,7 +235,7 @@ def check_entries(state: object, file: Path) -> State:
 
 @contextmanager
 def restoring(origin: Path) -> Iterator[None]:
-    """Within this context a run takes over a saved state; what does not fit is told in one line.
+    """Report what of a saved state does not fit, while a run takes it over within this context, in one line.
 
     Raises:
         RunError: the state does not fit.

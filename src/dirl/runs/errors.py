@@ -37,7 +37,7 @@ class Terminated(BaseException):
 
 
 def end_at_once(advice: bytes = b"") -> None:
-    """From now on SIGINT and SIGTERM end the program with one line where no context of this module handles them.
+    """Let SIGINT and SIGTERM end the program with one line from now on, where no context of this module handles them.
 
     That is while a recipe imports torch, and after it has ended: there is nothing to save then. Python's own handlers
     would print a traceback, or nothing. The line ends with ``advice``.
@@ -59,7 +59,7 @@ def _is_ours(handler: object) -> bool:
 
 @contextlib.contextmanager
 def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None = None) -> Iterator[None]:
-    """Within this context an interrupt, a wrong input or an error of the machine ends the program with one line.
+    """End the program with one line at an interrupt, a wrong input or an error of the machine within this context.
 
     Args:
         advice: called where the input is not to blame: what is safe, and how to continue.
@@ -142,7 +142,7 @@ def _told(error: OSError) -> str:
 
 
 def _is_memory(error: Exception) -> bool:
-    """True if Python, numpy or torch ran out of memory; torch raises a ``RuntimeError`` for it on the CPU."""
+    """Return True if Python, numpy or torch ran out of memory; torch raises a ``RuntimeError`` for it on the CPU."""
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return True
     return isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error)
@@ -164,7 +164,7 @@ def _signals(handlers: dict[signal.Signals, Any]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[list[int]]:
-    """Within this context the first SIGINT or SIGTERM only fills the list, so that a loop ends in a consistent state.
+    """Fill a list at the first SIGINT or SIGTERM within this context, so that a loop ends in a consistent state.
 
     The next one acts at once, as it would outside.
 

@@ -154,7 +154,7 @@ class Run:
             self.logger.log(stage, step, row)
 
     def save_due(self) -> bool:
-        """True if it is time for the next checkpoint."""
+        """Return True if it is time for the next checkpoint."""
         return time.perf_counter() - self._last_save >= self.config.checkpoint.every_seconds
 
     def save(self, state: State) -> None:

@@ -51,8 +51,8 @@ class FolderLock:
         except OSError as error:
             if error.errno not in NO_LOCKS:
                 raise
-            told = f"{folder}: cannot be locked ({error.strerror}); do not resume this run while it runs"
-            print(told, file=sys.stderr, flush=True)
+            warning = f"{folder}: cannot be locked ({error.strerror}); do not resume this run while it runs"
+            print(warning, file=sys.stderr, flush=True)
         else:
             with suppress(OSError):  # for people; nothing reads it but the message above
                 file.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
@@ -77,7 +77,7 @@ def _release(lock: FileLock, file: Path, owner: int) -> None:
 
 
 def is_numbered(folder: Path) -> bool:
-    """True if a run, or a job of a sweep, gets a number where its folder is another's: nobody has chosen its name."""
+    """Return True if a run or job gets a number where its folder is another's: nobody has chosen its name."""
     return any(TIME.fullmatch(name) for name in (folder.name, folder.parent.name))
 
 

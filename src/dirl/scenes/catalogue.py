@@ -51,18 +51,18 @@ class Rooms:
             if len(names) > 1:
                 raise SceneError(f"'all' already stands for {list(PUBLISHED_GOALS)}; name it alone")
             names = list(PUBLISHED_GOALS)
-        found = []
+        dumps = []
         for name in names:
             if _is_file(name):
-                found.append(Dump(Path(name), source=None if self.label == "rooms" else self.label))
+                dumps.append(Dump(Path(name), source=None if self.label == "rooms" else self.label))
                 continue
             path = self.folder / f"{name}.h5"
             if not path.is_file():
                 known = sorted(path.stem for path in self.folder.glob("*.h5"))
                 check_choice(name, [*known, "all", "a list of them", "<a dump>.h5"], "", "scene")
-            found.append(Dump(path, name=name, source=self.label))
-        scenes = read_dumps(found)
-        return [made if made.goals else replace(made, goals=PUBLISHED_GOALS.get(made.name, ())) for made in scenes]
+            dumps.append(Dump(path, name=name, source=self.label))
+        scenes = read_dumps(dumps)
+        return [scene if scene.goals else replace(scene, goals=PUBLISHED_GOALS.get(scene.name, ())) for scene in scenes]
 
 
 class Thor(Rooms):
@@ -139,10 +139,10 @@ def _own_scenes(source: SceneSource, names: list[str]) -> list[Scene]:
         raise
     except (LookupError, OSError, TypeError, ValueError) as error:
         raise SceneError(f"source: {kind}.load({names}) failed ({type(error).__name__}: {error})") from error
-    others = sorted({type(one).__name__ for one in scenes if not isinstance(one, Scene)})
+    others = sorted({type(other).__name__ for other in scenes if not isinstance(other, Scene)})
     if others or not scenes:
-        found = f"with {', '.join(others)}" if others else "without any"
-        raise SceneError(f"source: {kind}.load({names}) must return a list of dirl.scenes.Scene, not one {found}")
+        problem = f"with {', '.join(others)}" if others else "without any"
+        raise SceneError(f"source: {kind}.load({names}) must return a list of dirl.scenes.Scene, not one {problem}")
     return scenes
 
 
@@ -151,7 +151,7 @@ def _is_file(name: str) -> bool:
 
 
 def collection_folder(scene: str | Sequence[str]) -> Path | None:
-    """The folder of the collection whose rooms a user asks for, see `load_scenes`; None if single scenes are named."""
+    """Return the folder of the collection that a user asks for, see `load_scenes`; None if single scenes are named."""
     name = scene if isinstance(scene, str) else scene[0] if len(scene) == 1 else ""
     return Path(name.removeprefix(COLLECTION)) if name.startswith(COLLECTION) else None
 

@@ -26,7 +26,7 @@ class ChosenGoals(NamedTuple):
 
 
 def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 0.0, seed: int = 0) -> ChosenGoals:
-    """Goals by rule.
+    """Choose goals by rule.
 
     The seed orders the places of each scene, independently of other scenes: the first are held out, and a fraction is
     taken from the end. With the same seed a larger fraction contains a smaller one, and the held-out places do not
@@ -66,7 +66,7 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
 
 
 def well_reached(scene: Scene) -> np.ndarray:
-    """True if a state can be reached from the largest part of the scene, bool ``[N]``: true in a connected scene.
+    """Return True where a state can be reached from the scene's largest part, bool ``[N]``: all in a connected scene.
 
     All states of a part can be reached from each other. A dead end that has no way out takes no goals from others.
     """

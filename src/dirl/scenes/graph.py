@@ -80,7 +80,7 @@ def check_graph(graph: IntArray) -> None:
 
 
 def _ring_lengths(graph: IntArray, alive: IntArray) -> IntArray:
-    """How many right turns bring each of the states ``alive`` back to itself, int64; 0 = more than `MAX_TURNS`."""
+    """Return how many right turns bring each of the states ``alive`` back, int64; 0 = more than `MAX_TURNS`."""
     lengths = np.zeros(len(alive), np.int64)
     at = alive
     for turns in range(1, MAX_TURNS + 1):

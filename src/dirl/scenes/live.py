@@ -26,7 +26,7 @@ class SimulatorError(SceneError):
         self.failure = failure
 
     def __str__(self) -> str:
-        """Both, in one line."""
+        """Return both in one line."""
         return "; ".join(self.args)
 
 
@@ -220,7 +220,7 @@ def state_pose(scene: Scene, state: int) -> Pose:
 
 
 def repeats(world: LiveWorld, pose: Pose) -> bool:
-    """True if a world shows the same views, bit for bit, to an agent that is put at a pose twice."""
+    """Return True if a world shows the same views, bit for bit, to an agent that is put at a pose twice."""
     world.reset(pose)
     before = world.views()
     world.reset(pose)
@@ -228,7 +228,7 @@ def repeats(world: LiveWorld, pose: Pose) -> bool:
 
 
 def arrived(pose: Pose, wanted: Pose, within: float, degrees: float) -> bool:
-    """True if a pose is within so many metres of another one, and turned away from it by so many degrees at most."""
+    """Return True if a pose is within so many metres of another one, and turned away from it by so many degrees."""
     turned = abs((pose.heading - wanted.heading + 180) % 360 - 180)
     return bool(np.hypot(pose.x - wanted.x, pose.z - wanted.z) <= within and turned <= degrees)
 
@@ -242,7 +242,7 @@ def shortest_move(scene: Scene) -> float:
 
 @contextmanager
 def simulator_errors(name: str, then: str = "run the command again") -> Iterator[None]:
-    """Within this context whatever a simulator raises, for which each has its own classes, becomes one line."""
+    """Turn whatever a simulator raises within this context, each its own classes, into one line."""
     try:
         yield
     except SceneError:

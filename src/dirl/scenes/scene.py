@@ -223,12 +223,12 @@ class Scene:
         if self.look_features is None:
             return {}
         pairs = [("look_features", np.floating, self.features), ("look_patches", np.float16, self.patches)]
-        found: dict[str, np.ndarray] = {}
+        looks: dict[str, np.ndarray] = {}
         for name, kind, default in pairs:
             if default is not None:
-                shape = (None if name == "look_features" else len(found["look_features"]), *default.shape)
-                found[name] = self._array(name, getattr(self, name), kind, shape)
-        return found
+                shape = (None if name == "look_features" else len(looks["look_features"]), *default.shape)
+                looks[name] = self._array(name, getattr(self, name), kind, shape)
+        return looks
 
 
 def check_name(name: str, origin: str) -> None:

@@ -106,8 +106,8 @@ class FileViews:
 def check_image(view: NDArray[np.generic], what: str) -> NDArray[np.uint8]:
     """Return a view if it is RGB, uint8 ``[H, W, 3]``; `SceneError` if not."""
     if getattr(view, "dtype", None) != np.uint8 or view.ndim != 3 or view.shape[2] != 3:
-        found = f"{getattr(view, 'dtype', type(view).__name__)} {list(getattr(view, 'shape', ()))}"
-        raise SceneError(f"{what} gave {found}; expected RGB, uint8 [H, W, 3]")
+        given = f"{getattr(view, 'dtype', type(view).__name__)} {list(getattr(view, 'shape', ()))}"
+        raise SceneError(f"{what} gave {given}; expected RGB, uint8 [H, W, 3]")
     return view  # type: ignore[return-value]
 
 
@@ -118,7 +118,7 @@ def encoded_view(views: Views, state: int, quality: int | None = None) -> bytes:
 
 
 def encode(view: NDArray[np.uint8], quality: int | None = 85, method: int = 6) -> bytes:
-    """A view as WebP bytes; ``quality`` is WebP's, 0 to 100, or None for lossless; ``method`` 0 is quick, 6 small."""
+    """Encode a view as WebP; ``quality`` is 0 to 100, or None for lossless; ``method`` 0 is quick, 6 small."""
     buffer = io.BytesIO()
     if quality is None:
         # Thirteen times as fast as Pillow's defaults, and 11 % larger.

@@ -102,11 +102,11 @@ class World:
         return self.row[goal_index] + state
 
     def distance(self, goal_index: Tensor, state: Tensor) -> Tensor:
-        """Fewest actions from states of the goals' scenes, int64 ``[...]``; -1 where the goal cannot be reached."""
+        """Return the fewest actions from states of the goals' scenes, int64 ``[...]``; -1 where no path leads there."""
         return self.distances[self.pair(goal_index, state)].long()
 
     def pairs(self) -> tuple[Tensor, Tensor]:
-        """Goal index and state of every pair, int64 ``[P]`` each, in the order of ``distances``."""
+        """Return goal index and state of every pair, int64 ``[P]`` each, in the order of ``distances``."""
         sizes = torch.tensor([len(scene) for scene in self.scenes], device=self.device)
         of_goal = sizes[self.scene_of[self.goals]]
         goal_index = torch.repeat_interleave(torch.arange(len(self.goals), device=self.device), of_goal)
@@ -215,10 +215,10 @@ def _look_by_look(scenes: Sequence[Scene], name: str, looks: int) -> list[NDArra
 
 def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
     """Return the patches of all scenes, look by look, one behind the other."""
-    found = [scene.patches for scene in scenes if scene.patches is not None]
-    if len(found) < len(scenes):
+    patches_of = [scene.patches for scene in scenes if scene.patches is not None]
+    if len(patches_of) < len(scenes):
         return None
-    shapes = sorted({patches.shape[1:] for patches in found})
+    shapes = sorted({patches.shape[1:] for patches in patches_of})
     if len(shapes) > 1:
         raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
     return torch.from_numpy(np.concatenate(_look_by_look(scenes, "patches", looks)))

@@ -98,14 +98,14 @@ def build_observation(config: TrainConfig, world: World) -> SurroundingViews:
     Raises:
         ConfigError: one of your own does not keep its contract, see `dirl.envs.transforms.broken_promise`.
     """
-    made: SurroundingViews = make("observation", config.observation, config.trust, world=world).to(world.device)
-    kind = type(made).__name__
-    if type(made) not in (SurroundingViews, SequentialViews):
-        with tried("observation", made):
-            broken = broken_promise(made)
+    observation: SurroundingViews = make("observation", config.observation, config.trust, world=world).to(world.device)
+    kind = type(observation).__name__
+    if type(observation) not in (SurroundingViews, SequentialViews):
+        with tried("observation", observation):
+            broken = broken_promise(observation)
         if broken:
             raise ConfigError(f"observation: {kind}: {broken}")
-    return made
+    return observation
 
 
 def build_env(
@@ -117,7 +117,7 @@ def build_env(
     agents: int | tuple[int, ...] | None = None,
     seed: int | None = None,
 ) -> EnvBase:
-    """The environment of training, with step limit, reward scale, view ids, and the policy's recurrent state if any.
+    """Build the environment of training, with step limit, reward scale, view ids, and the policy's recurrent state.
 
     ``agents``, how many walk, and the ``seed`` of goals and starts are the configuration's if left out.
     """
@@ -157,7 +157,7 @@ def build_env(
 
 
 def build_demonstrations(config: TrainConfig, world: World, observation: SurroundingViews) -> Demonstrations:
-    """What the expert shows: rows ``[M]``, see `dirl.evaluation.experts.demonstrations`; or pairs that are sampled.
+    """Build what the expert shows: rows ``[M]``, see `dirl.evaluation.experts.demonstrations`; or sampled pairs.
 
     Raises:
         ConfigError: goals of their own, or given by a photo, where there is a table of demonstrations.
@@ -191,10 +191,10 @@ def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
     Raises:
         ConfigError: it does not give actions.
     """
-    made: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
-    if "expert_action" not in getattr(made, "out_keys", ()):
-        raise ConfigError(f"expert: {type(made).__name__} is no expert: it writes no expert_action (out_keys)")
-    return made
+    expert: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
+    if "expert_action" not in getattr(expert, "out_keys", ()):
+        raise ConfigError(f"expert: {type(expert).__name__} is no expert: it writes no expert_action (out_keys)")
+    return expert
 
 
 def build_imitation_loss(config: TrainConfig, policy: ActorCritic) -> nn.Module:
@@ -216,7 +216,7 @@ def build_losses(config: TrainConfig, policy: ActorCritic, world: World, demos: 
     operator = policy.operator()
     actor, critic = operator.get_policy_head(), operator.get_value_head()
     offered = {"policy": policy, "actor": actor, "actor_network": actor, "critic_network": critic, "world": world}
-    found = {}
+    losses = {}
     for full, options in components(config).items():
         group, _, name = full.partition(".")
         if group != "losses":
@@ -238,9 +238,9 @@ def build_losses(config: TrainConfig, policy: ActorCritic, world: World, demos: 
         if loss.compares and not len(demos):
             raise ConfigError(f"{full}: {kind} reads demonstrations; use imitation.fraction above 0")
         if not loss.on_demonstrations or (len(demos) and (weight.start or weight.end)):
-            found[name] = loss
+            losses[name] = loss
     # Of equal losses those on demonstrations come last, whatever the order of the configuration.
-    ordered = dict(sorted(found.items(), key=lambda item: item[1].on_demonstrations))
+    ordered = dict(sorted(losses.items(), key=lambda item: item[1].on_demonstrations))
     return Losses(policy, ordered, demos, config.imitation.batch_size)
 
 
@@ -250,7 +250,7 @@ def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | 
 
 
 def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | StopRule | None:
-    """Where an agent stops on its way to each goal, bool ``[P]``, in a world that changes a `StopRule`; None: at it."""
+    """Return where agents stop on the way to each goal, bool ``[P]``, or a `StopRule` if views change; None: at it."""
     if rule == Stop.goal:
         return None
     stop = matching(config, world.device)
@@ -284,7 +284,7 @@ def build_protocol(
     if isinstance(memory, LocalisingMemory):
         other = torch.nonzero(world.turns != world.turns[0]).flatten().tolist()
         if other:
-            first, second = (f"{360 // int(world.turns[one])} in {world.names[one]}" for one in (0, other[0]))
+            first, second = (f"{360 // int(world.turns[index])} in {world.names[index]}" for index in (0, other[0]))
             raise ConfigError(
                 f"episodic_memory=localising: turns are of several angles, degrees: {first}, {second}; evaluate scenes "
                 "of one angle at a time"
@@ -430,7 +430,7 @@ def learning_policy(
 
 
 def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor | None, bool]:
-    """What is observed in each picture, int64 ``[N, V]``, and whether goals may be given by their front view alone.
+    """Return what is observed in each picture, int64 ``[N, V]``, and whether goals may be given by the front view.
 
     It is what the transform says, not the world's own: one's own may hide views. None unless the first view id tells
     the others of observation and goal, so that a cache may go by it. ``front`` is whether drawn pairs have such goals,
@@ -440,8 +440,8 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
     seen, goal = observation.reset_view_ids(every), observation.goal_view_ids(every)
     alone = not torch.equal(goal, seen)
     fronts = front or alone
-    told = torch.equal(seen[:, 0], every) and not (alone and not torch.equal(goal, front_only(seen, len(every))))
-    if observation.history or not told or (fronts and bool((seen == len(every)).any())):
+    complete = torch.equal(seen[:, 0], every) and not (alone and not torch.equal(goal, front_only(seen, len(every))))
+    if observation.history or not complete or (fronts and bool((seen == len(every)).any())):
         return None, fronts
     return seen, fronts
 

@@ -86,7 +86,7 @@ def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
 
 
 def _context() -> Any:
-    """How workers start: as forks of a process that has only imported what they need, or else as new interpreters."""
+    """Return how workers start: as forks of a process that has only imported what they need, or as new interpreters."""
     methods = torch.multiprocessing.get_all_start_methods()
     return torch.multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
 
@@ -110,7 +110,7 @@ def fetch(shared: Shared, policy: nn.Module) -> None:
 
 @contextmanager
 def waiting(shared: Shared, policy: nn.Module) -> Iterator[None]:
-    """A context in which the workers wait, each after its present update; the policy has the shared weights."""
+    """Let the workers wait within this context, each after its present update; the policy has the shared weights."""
     shared.going.clear()
     try:
         fetch(shared, policy)
@@ -158,8 +158,8 @@ def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> 
             if failed or not loop.goes_on:
                 shared.stopped.set()
             try:
-                names, frames, told = ready.recv()
-                yield Report(names, frames, torch.from_numpy(told))
+                names, frames, values = ready.recv()
+                yield Report(names, frames, torch.from_numpy(values))
             except EOFError:
                 worker = listening.pop(ready)
                 worker.join()
@@ -169,7 +169,7 @@ def asynchronous_updates(config: TrainConfig, shared: Shared, loop: Updates) -> 
 
 
 def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: Connection) -> None:
-    """The loop of a worker, numbered from 0: collect a rollout, update and send a `Report`, until `claim` has none."""
+    """Run a worker, numbered from 0: collect a rollout, update and send a `Report`, until `claim` has none."""
     torch.set_num_threads(1)
     world = build_world(config)
     observation = build_observation(config, world)
@@ -212,8 +212,8 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
                 optimiser.step()
                 if several:
                     fetch(shared, policy)
-        names, frames, told = report(env, batch, losses.set("gradient_norm", norm).detach())
-        sender.send((names, frames, told.numpy()))
+        names, frames, values = report(env, batch, losses.set("gradient_norm", norm).detach())
+        sender.send((names, frames, values.numpy()))
 
 
 def claim(shared: Shared, frames: int, total: int) -> float | None:

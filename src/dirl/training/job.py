@@ -121,7 +121,7 @@ def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[
 
 
 def prepare_device(device: Device, precision: Precision = Precision.float32) -> None:
-    """On a GPU choose the kernels that add in a fixed order: a seed decides as on the CPU.
+    """Choose kernels that add in a fixed order on a GPU: a seed decides as on the CPU.
 
     torch warns of an operation that has no such kernel.
     """
@@ -134,7 +134,7 @@ def prepare_device(device: Device, precision: Precision = Precision.float32) -> 
 
 
 def build_components(run: Run, initial: State | None = None, like: Components | None = None) -> Components:
-    """Everything that the configuration asks for, with the weights that the run begins or goes on with.
+    """Build everything that the configuration asks for, with the weights that the run begins or goes on with.
 
     ``initial`` is the checkpoint that ``init`` names, if it has been read. With ``like``, those of another run in the
     same world, what does not depend on the run is shared.

@@ -194,13 +194,13 @@ class ImitationSteps:
             rates.append(options.lr * (1 - done) if member.goes_on else 0.0)
         return torch.tensor(rates, dtype=torch.float64)
 
-    def record(self, told: Tensor) -> None:
+    def record(self, step: Tensor) -> None:
         """Count a step of loss and accuracy ``[2]``, or ``[2, R]``; write its metrics, save when it is time to.
 
         Raises:
             RunError: the loss of the only run is not finite. The checkpoints before are not touched.
         """
-        for member, own in zip(self.members, told.view(2, -1).T.tolist(), strict=True):
+        for member, own in zip(self.members, step.view(2, -1).T.tolist(), strict=True):
             if len(self.members) == 1 and not math.isfinite(own[0]):
                 at = f"a loss of {own[0]} at step {member.step}"
                 raise RunError(f"the imitation has diverged: {at}; lower imitation.lr")
@@ -219,7 +219,7 @@ class ImitationSteps:
 def imitation_steps(
     runs: Sequence[Run], policy: Any, demos: Sequence[Demonstrations], first: int
 ) -> Iterator[ImitationSteps]:
-    """The steps of an imitation that began at step ``first``; those after step 0 are rounds of DAgger, not saved.
+    """Run the steps of an imitation from step ``first``; those after step 0 are rounds of DAgger, not saved.
 
     The policy is that of one run, or a `dirl.training.stacked.Stack`.
     """
@@ -287,11 +287,11 @@ class Updates:
         """
         config, before = self.runs[0].config, self.frames
         self.frames += report.frames
-        told, arrived = report.told, None
-        if self.state.stacked and told.is_cuda:
-            told, arrived = told.to("cpu", non_blocking=True), torch.cuda.Event()
+        numbers, arrived = report.numbers, None
+        if self.state.stacked and numbers.is_cuda:
+            numbers, arrived = numbers.to("cpu", non_blocking=True), torch.cuda.Event()
             arrived.record()
-        self.unread.append((report._replace(told=told), self.frames, arrived))
+        self.unread.append((report._replace(numbers=numbers), self.frames, arrived))
         evaluates = due(before, self.frames, self.total, config.evaluation.times)
         self._read(1 if arrived is not None and not evaluates and not self.done else 0)
         # The end of many runs comes right after: their checkpoints would take longer than what they save.
@@ -337,7 +337,7 @@ class Updates:
 
 @contextmanager
 def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProtocol]) -> Iterator[Updates]:
-    """The updates of a reinforcement from its present state on, of one run or of a stack; see `Updates`."""
+    """Run the updates of a reinforcement from its present state on, of one run or of a stack; see `Updates`."""
     members = state.members if state.stacked else [state]
     total = runs[0].config.reinforcement.frames_per_scene * len(protocols[0].world.scenes)
     frames = members[0].frames
@@ -365,7 +365,7 @@ def how_to_go_on(runs: Sequence[Run]) -> str:
 
 
 def dagger_rounds(run: Run, parts: Any, demos: Demonstrations) -> Iterator[tuple[Demonstrations, int]]:
-    """The rounds of DAgger: the learner walks, the expert labels the states it came to, all is to be cloned again.
+    """Run the rounds of DAgger: the learner walks, the expert labels the states it came to, all is cloned again.
 
     After each round a row of ``dagger.csv`` is written: frames walked so far, states and goals labelled so far, and the
     metrics of the clone.
@@ -390,7 +390,7 @@ def dagger_rounds(run: Run, parts: Any, demos: Demonstrations) -> Iterator[tuple
 
 
 def due(before: int, now: int, total: int, times: int) -> bool:
-    """True if one of ``times`` moments, evenly spread over ``total`` frames, lies between two counts of frames."""
+    """Return True if one of ``times`` moments, evenly spread over ``total`` frames, is between two counts of frames."""
     return before * times // total < now * times // total
 
 

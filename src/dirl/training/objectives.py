@@ -91,7 +91,7 @@ class Losses(nn.Module):
         return self.compute(batch, self.draw() if demonstrated else None, self.coefficients(float(left)))
 
     def coefficients(self, left: Any) -> dict[str, dict[str, Any]]:
-        """The coefficients of each loss, by its name and theirs, when a fraction ``left`` of the training remains."""
+        """Return each loss's coefficients, by its name and theirs, when a fraction ``left`` of the training remains."""
         return {
             name: {option: schedule(left) for option, schedule in loss.schedules.items()}
             for name, loss in self.losses.items()
@@ -187,7 +187,7 @@ def demonstration_batches(
 
 
 def as_first_steps(policy: nn.Module, demonstrations: TensorDictBase) -> TensorDictBase:
-    """Demonstrations as first steps of episodes, with the initial recurrent state of a policy with memory."""
+    """Return demonstrations as first steps of episodes, with the initial recurrent state of a policy with memory."""
     count, device = len(demonstrations), demonstrations["state"].device
     if not recurrent_keys(policy) or not count:
         return demonstrations
@@ -236,7 +236,7 @@ class ImitationLoss(nn.Module):
         return TensorDict({"loss_imitation": loss, "accuracy": right.float().mean()})
 
     def _compare(self, dist: Categorical, expert: Tensor) -> tuple[Tensor, Tensor]:
-        """Of each row the log-probability of what the expert says, and whether the most probable action is right."""
+        """Return each row's log-probability of the expert's action, and whether the most probable action is right."""
         return dist.log_prob(expert), dist.mode == expert
 
 
@@ -258,7 +258,7 @@ class OptimalActionsLoss(ImitationLoss):
 
 
 def make_advantages(gamma: float | Tensor, lmbda: float | Tensor) -> Callable[[TensorDictBase], TensorDictBase]:
-    """TorchRL's generalised advantage estimation over values that are already in the batch.
+    """Make TorchRL's generalised advantage estimation over values that are already in the batch.
 
     With ``lmbda=1`` it is the paper's n-step return minus the value (equations 5 and 6). Tensors, ``[R, 1, 1, 1]``, are
     those of the runs of a stack, whose batches are ``[R, B, T]``.
@@ -300,7 +300,7 @@ def bootstrap(batch: TensorDictBase, critic: TensorDictModuleBase) -> TensorDict
 
 
 def minibatches(batch: TensorDictBase, epochs: int, count: int, *, by_agent: bool = False) -> Iterator[TensorDictBase]:
-    """The batches of the updates that follow one rollout ``[B, T]``: all of it, or shuffled parts, in several passes.
+    """Yield the batches of the updates after one rollout ``[B, T]``: all of it, or shuffled parts, in several passes.
 
     With ``by_agent`` the steps of an agent stay together and in order, ``[b, T]``, as a memory needs; else ``[b]``.
     """

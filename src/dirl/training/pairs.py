@@ -78,7 +78,7 @@ class DrawnPairs:
         return rows
 
     def _goals(self, size: int) -> Tensor:
-        """Drawn places in the world's goals, int64 ``[size]``."""
+        """Draw places among the world's goals, int64 ``[size]``."""
         if self.scenes_at_once is None or self.scenes_at_once >= len(self.goals):
             return torch.randint(len(self.world.goals), (size,), device=self.world.device)
         scenes = torch.multinomial(self.goals.float(), self.scenes_at_once)  # the more goals, the more often
@@ -91,7 +91,7 @@ Demonstrations: TypeAlias = TensorDictBase | DrawnPairs
 
 
 def with_labels(demonstrations: Demonstrations, rows: TensorDictBase) -> Demonstrations:
-    """Demonstrations and labelled states that the learner came to, ``[M]``, together (DAgger)."""
+    """Join demonstrations and labelled states that the learner came to, ``[M]`` (DAgger)."""
     if not isinstance(demonstrations, DrawnPairs):
         return merge_demonstrations(demonstrations, rows)
     merged = copy.copy(demonstrations)

@@ -191,13 +191,13 @@ def recipe(name: str) -> ModuleType:
 
 def as_arguments(options: Mapping[str, object], above: str = "") -> list[str]:
     """Return options as on the command line: ``{"imitation": {"rounds": 2}}`` is ``imitation.rounds=2``."""
-    found = []
+    arguments = []
     for name, value in options.items():
         if isinstance(value, Mapping) and name != "goals":  # which are given by scene
-            found += as_arguments(value, f"{above}{name}.")
+            arguments += as_arguments(value, f"{above}{name}.")
         else:
-            found.append(f"{above}{name}={_written(value)}")
-    return found
+            arguments.append(f"{above}{name}={_written(value)}")
+    return arguments
 
 
 def _written(value: object) -> str:
@@ -209,7 +209,7 @@ def _written(value: object) -> str:
 
 @contextmanager
 def hydra_put_aside() -> Iterator[None]:
-    """Within this context Hydra can compose, also inside another Hydra application, which gets its own state back."""
+    """Let Hydra compose within this context, also inside another Hydra application, which gets its own state back."""
     state = GlobalHydra.instance()
     outer, state.hydra = state.hydra, None
     try:

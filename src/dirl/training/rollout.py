@@ -67,12 +67,12 @@ class Report(NamedTuple):
     """Of the values."""
     frames: int
     """F, of each run."""
-    told: Tensor
+    numbers: Tensor
     """K values of each run; then which of its F steps end an episode, their goals and lengths, ``[R, K + 3F]``."""
 
     def read(self) -> list[Update]:
         """Return the report of each run."""
-        values, *over = self.told.cpu().split([len(self.names), *[self.frames] * 3], 1)
+        values, *over = self.numbers.cpu().split([len(self.names), *[self.frames] * 3], 1)
         reports = []
         for own, done, goal, steps in zip(values.tolist(), *(part.long().numpy() for part in over), strict=True):
             ended = done.nonzero()
@@ -89,10 +89,10 @@ def report(env: EnvBase, batch: TensorDictBase, losses: TensorDictBase) -> Repor
     """
     if batch.batch_dims == 2:
         batch, losses = batch.unsqueeze(0), losses.unsqueeze(0)
-    told = {key: value.float() for key, value in sorted(losses.items()) if value.ndim == 1}
+    means = {key: value.float() for key, value in sorted(losses.items()) if value.ndim == 1}
     target, value = batch["value_target"].float().flatten(1), batch["state_value"].float().flatten(1)
-    told["explained_variance"] = 1 - (target - value).var(1) / target.var(1)
+    means["explained_variance"] = 1 - (target - value).var(1) / target.var(1)
     after = batch["next"]
     ends = [after["done"].squeeze(-1), env.base_env.goal_index[after["goal"]], after["step_count"].squeeze(-1)]
     over = [end.mT.flatten(1).float() for end in ends]  # in the order they ended; whole numbers, which stay exact
-    return Report([*told], over[0].shape[1], torch.cat([torch.stack([*told.values()], 1), *over], 1))
+    return Report([*means], over[0].shape[1], torch.cat([torch.stack([*means.values()], 1), *over], 1))

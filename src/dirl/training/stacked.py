@@ -88,7 +88,7 @@ def why_alone(config: TrainConfig, components: Components) -> str | None:
         "a loss with weights of its own": len(state.parameters) > len(trained_parameters(components.policy)),
         "a loss that defines the reward": any(hasattr(loss.module, "reward") for loss in losses),
         "a loss that compares": any(loss.compares for loss in losses),
-        "a loss that is no mean by reduction": any(getattr(one, "reduction", None) != "mean" for one in modules),
+        "a loss that is no mean by reduction": any(getattr(module, "reduction", None) != "mean" for module in modules),
     }
     return next((reason for reason, holds in reasons.items() if holds), None)
 
@@ -234,8 +234,8 @@ class Stack:
         trunk, loss.reduction = self.form.trunk(), "none"
 
         def of_run(rows: TensorDictBase, counts: Tensor) -> TensorDict:
-            told = loss(trunk(rows.copy()))
-            return TensorDict({key: mean(told[key], counts) for key in ("loss_imitation", "accuracy")})
+            losses = loss(trunk(rows.copy()))
+            return TensorDict({key: mean(losses[key], counts) for key in ("loss_imitation", "accuracy")})
 
         return lambda: self.each(of_run, *self.losses.demonstrated)
 
@@ -292,7 +292,7 @@ class Stack:
 
     @contextmanager
     def keeping(self, *, learns: bool) -> Iterator[None]:
-        """A context, of one update, in which all is embedded once; for the losses too if it ``learns``."""
+        """Embed all once within this context of one update; for the losses too if it ``learns``."""
         with torch.set_grad_enabled(learns):
             self.weights = self._by_name(self.whole)
             self._kept = self.each(self._embedded)
@@ -380,12 +380,12 @@ def joined(whole: Tensor, optimisers: Sequence[Any], *, apart: bool = False) -> 
     first, groups = optimisers[0], []
     rates = torch.tensor([some[0].defaults["lr"] for some in alike.values()], dtype=torch.float64, device=whole.device)
     for some, rate in zip(alike.values(), rates.float(), strict=True):
-        group = first.param_groups[0] | {"params": [one for own in some for one in own.param_groups[0]["params"]]}
+        group = first.param_groups[0] | {"params": [weight for own in some for weight in own.param_groups[0]["params"]]}
         # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
         if whole.device.type != "cpu" or group.get("fused"):
             group |= {"lr": rate, "capturable": True}
         groups.append(group)
-    state = {one: own.state[one] for own in optimisers for one in own.param_groups[0]["params"]}
+    state = {weight: own.state[weight] for own in optimisers for weight in own.param_groups[0]["params"]}
     result = object.__new__(type(first))
     vars(result).update(vars(first), param_groups=groups, state=state, defaults=first.defaults | {"lr": rates})
     result._warned_capturable_if_run_uncaptured = True  # it is uncaptured before the capture
@@ -401,7 +401,7 @@ def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainC
         return torch.tensor([attrgetter(option)(own) for own in configs], device=device).view(-1, *[1] * dims)
 
     first = configs[0]
-    reward = replace(first.reward, **{one.name: by_run(f"reward.{one.name}", 1) for one in fields(first.reward)})
+    reward = replace(first.reward, **{each.name: by_run(f"reward.{each.name}", 1) for each in fields(first.reward)})
     discount = {name: by_run(f"reinforcement.{name}", 3) for name in ("gamma", "lmbda")}
     return replace(first, reward=reward, reinforcement=replace(first.reinforcement, **discount))
 
@@ -412,7 +412,7 @@ def mean(value: Tensor, counts: Tensor | None) -> Tensor:
 
 
 def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase, Tensor]:
-    """The demonstrations of all runs, ``[R, M]``, and which count, float32 ``[R, M]``: the others fill up the rows."""
+    """Return all runs' demonstrations, ``[R, M]``, and which count, float32 ``[R, M]``: others fill up the rows."""
     rows = torch.arange(max(map(len, demos)), device=demos[0].device)
     together = torch.stack([own[rows.clamp(max=len(own) - 1)] for own in demos])
     return together, torch.stack([rows < len(own) for own in demos]).float()

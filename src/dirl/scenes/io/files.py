@@ -180,8 +180,8 @@ def checked(value: object, kind: Any, where: str = "", *, strict: bool = True) -
         # Strictly, a list of JSON can be a tuple, and an object a dataclass; those of Python cannot.
         return _adapter(kind).validate_json(to_json(value, inf_nan_mode="strings"), strict=strict, extra="forbid")
     except ValidationError as error:
-        found = error.errors(include_url=False)
-    first = next((one for one in found if one["type"] == UNKNOWN), found[0])
+        problems = error.errors(include_url=False)
+    first = next((problem for problem in problems if problem["type"] == UNKNOWN), problems[0])
     if first["type"] == UNKNOWN:
         *above, key = map(str, first["loc"])
         for part in above:
@@ -229,11 +229,11 @@ def inside(folder: Path, name: object, where: str) -> Path:
     path = PurePosixPath(text)
     if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
         raise SceneError(f"{where}: '{name[:100]}' lies outside of {folder}")
-    found = folder / path
-    real, root = os.path.realpath(found), os.path.realpath(folder)
+    file = folder / path
+    real, root = os.path.realpath(file), os.path.realpath(folder)
     if os.path.commonpath([real, root]) != root:
         raise SceneError(f"{where}: '{name[:100]}' is a link that leads out of {folder}; put the file itself there")
-    return found
+    return file
 
 
 def text_of(file: Path, most: int = MOST) -> str:
@@ -297,7 +297,7 @@ PREFIX = ".unfinished-"
 
 @contextmanager
 def atomic_path(file: str | Path) -> Iterator[Path]:
-    """Within this context a file is written under a temporary name; at its end it is renamed.
+    """Write a file under a temporary name within this context, and rename it at the end.
 
     It yields the path to write to. An existing file is replaced, and stays unchanged if anything fails.
 
@@ -351,7 +351,7 @@ def file_digest(path: Path) -> str:
 
 
 def sealed(facts: Mapping[str, object], *contents: bytes) -> dict[str, object]:
-    """Facts to be written as JSON, with a digest over them and the contents of other files of their folder."""
+    """Return facts to write as JSON, with a digest over them and the contents of other files of their folder."""
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for content in contents:
         digest.update(hashlib.sha256(content).digest())

@@ -99,7 +99,7 @@ def unreadable(error: Exception) -> str:
 
 
 def extractor_text(attributes: Mapping[str, str]) -> str:
-    """What made some features, as one text, from the attributes of ``resnet_feature``; empty if there are none."""
+    """Return what made some features, as one text, from the attributes of ``resnet_feature``; empty without any."""
     return "; ".join(attributes[key] for key in EXTRACTOR_ATTRIBUTES if attributes.get(key))
 
 
@@ -212,11 +212,11 @@ def _open_dataset(file: h5py.File, name: str, kinds: str, *shapes: tuple[int | N
     if dataset.dtype.kind not in kinds:
         wanted = " or ".join(KINDS[kind] for kind in kinds)
         raise SceneError(f"{name}: expected {wanted} values, found {_short(dataset.dtype, str)}")
-    found = dataset.shape or ()
-    alike = [shape for shape in shapes if len(shape) == len(found)]
-    if not any(all(w in (None, f) for w, f in zip(shape, found, strict=True)) for shape in alike):
-        told = [", ".join("any" if size is None else str(size) for size in shape) for shape in shapes]
-        raise SceneError(f"{name}: expected shape ({') or ('.join(told)}), found {found}")
+    actual = dataset.shape or ()
+    alike = [shape for shape in shapes if len(shape) == len(actual)]
+    if not any(all(w in (None, f) for w, f in zip(shape, actual, strict=True)) for shape in alike):
+        expected = [", ".join("any" if size is None else str(size) for size in shape) for shape in shapes]
+        raise SceneError(f"{name}: expected shape ({') or ('.join(expected)}), found {actual}")
     return dataset
 
 
@@ -244,7 +244,7 @@ def _short(value: object, show: Callable[[object], str] = repr) -> str:
 
 
 def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int], str]]:
-    """Where what is large lies: patches, features and patches of further looks, what tells where arrows lead.
+    """Locate what is large: patches, features and patches of further looks, what tells where arrows lead.
 
     Named as in `Scene`. Of each the first byte, the shape and the type. They are float16 and in one piece, so that
     those of many scenes can be memory-mapped.
@@ -256,10 +256,10 @@ def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[
         "along": ("along_feature", (states, None)),
         "toward": ("toward", (2, states, states)),
     }
-    found = {array: _locate(file, path, name, shape) for array, (name, shape) in stored.items() if name in file}
-    if "look_patches" in found and "look_features" not in found:
+    located = {array: _locate(file, path, name, shape) for array, (name, shape) in stored.items() if name in file}
+    if "look_patches" in located and "look_features" not in located:
         raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
-    return found
+    return located
 
 
 def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...]) -> tuple[int, list[int], str]:
@@ -363,8 +363,8 @@ def check_digest(file: h5py.File) -> bool:
     stored = [holder.attrs.get(DIGEST) for holder in (file, file["graph"])]
     if stored == [None, None]:
         return False
-    found = compute_digest(file)
-    if any(not isinstance(one, str) or one != found for one in stored):
+    digest = compute_digest(file)
+    if any(not isinstance(own, str) or own != digest for own in stored):
         raise SceneError(
             "does not hold what was written to it: it is damaged, or was changed without dirl (then delete the "
             f"attribute '{DIGEST}' of the file and of graph)"
@@ -395,7 +395,7 @@ def compute_digest(file: h5py.File) -> str:
 
 
 def blocks(dataset: h5py.Dataset) -> Iterator[slice]:
-    """Slices of a dataset's rows that can be read one after the other: of `BLOCK_BYTES`, or of a row of chunks."""
+    """Yield slices of a dataset's rows to read one after the other: of `BLOCK_BYTES`, or of a row of chunks."""
     row_bytes = max(1, dataset.dtype.itemsize * math.prod(dataset.shape[1:]))
     step = max(1, BLOCK_BYTES // row_bytes)
     if dataset.chunks is not None:  # a chunk that two blocks share would be unpacked twice

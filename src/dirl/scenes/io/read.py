@@ -124,7 +124,7 @@ def _scene(dump: Dump, contents: Contents, *, intact: bool) -> Scene:
 
 
 def _is_intact_room(path: Path) -> bool:
-    """True if a file is one of the built-in rooms; `SceneError` if it is, but not as it was installed."""
+    """Return True if a file is one of the built-in rooms; `SceneError` if it is, but not as it was installed."""
     sums = ROOMS / "SHA256SUMS"
     if path.resolve().parent != ROOMS.resolve() or not sums.is_file():
         return False
@@ -162,13 +162,13 @@ def read_apart(paths: Sequence[Path]) -> Iterator[dict[str, Any]]:
             if not answer.is_file():
                 raise SceneError(why_ended(status, allowed, "libhdf5"))
             with np.load(answer, allow_pickle=False) as stored:
-                found = dict(stored)
-            values = json.loads(str(found.pop("json")))
+                arrays = dict(stored)
+            values = json.loads(str(arrays.pop("json")))
             if "error" in values:
                 raise SceneError(values["error"])
-            for array in found.values():
+            for array in arrays.values():
                 array.setflags(write=False)
-            yield {**values, **found}
+            yield {**values, **arrays}
 
 
 def _run(request: dict[str, object], patience: float) -> int:
@@ -204,7 +204,7 @@ def why_ended(status: int, seconds: float, reader: str) -> str:
 
 
 def main() -> None:
-    """In the separate process: write an ``.npz`` for each call, whole or not at all."""
+    """Write an ``.npz`` for each call, whole or not at all; runs in the separate process."""
     request = json.load(sys.stdin)
     limit("RLIMIT_AS", request["memory"])
     for number, (path, seconds) in enumerate(zip(request["paths"], request["seconds"], strict=True)):

@@ -129,7 +129,7 @@ def export_icra17(scene: Scene, path: str | Path) -> None:
 
 @contextmanager
 def _whole_file(path: Path, scene: Scene) -> Iterator[h5py.File]:
-    """A new dump of a scene to write to; when the context ends it gets its digest and its name, or there is none."""
+    """Open a new dump of a scene; when the context ends it gets its digest and its name, or there is none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as unfinished, h5py.File(unfinished, "w") as file:
         file.attrs.update({"name": scene.name, "source": scene.source})
