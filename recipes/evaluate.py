@@ -333,8 +333,8 @@ def few_enough(protocol: EvaluationProtocol) -> EvaluationProtocol:
 def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     """Measures of a navigator in a live world, by policy; each image is encoded when it is first seen."""
     from dirl.agent.navigator import Navigator
-    from dirl.evaluation.live import Remembered, evaluate_live
-    from dirl.training.live import check_simulator
+    from dirl.evaluation.live_episodes import Remembered, evaluate_live
+    from dirl.training.simulation import check_simulator
 
     config, policy, protocol = trained
     if len(protocol.world.scenes) > 1:
@@ -402,7 +402,7 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
         return trained._replace(
             policy=GuidedPolicy(trained.policy, memory, LAST_STEPS if last_steps is None else last_steps)
         )
-    from dirl.evaluation.maps import map_quality, map_scene
+    from dirl.evaluation.map_accuracy import map_quality, map_scene
 
     if last_steps is not None:
         raise RunError(f"last_steps={last_steps}: a memory that localises knows its map to the end; leave it out")

@@ -37,8 +37,8 @@ from dirl.agent.mapping.moves import Move, moves_along
 from dirl.config.files import names
 from dirl.config.schemas import ConfigError
 from dirl.perception.matching import FrameMatcher
+from dirl.reporting.map_page import write_mcap, write_page
 from dirl.reporting.strips import draw_strip
-from dirl.reporting.walks import write_mcap, write_page
 from dirl.scenes.io.files import write_json
 from dirl.sources.video import Recording, read_photo
 

@@ -45,7 +45,7 @@ from pathlib import Path
 from dirl.agent.mapping.frames import check_memory, find_links, load_matcher, map_recordings
 from dirl.config.files import names
 from dirl.config.schemas import ConfigError
-from dirl.reporting.walks import write_page, write_route
+from dirl.reporting.map_page import write_page, write_route
 from dirl.sources.video import Recording
 
 FIELD_OF_VIEW = 65.0

@@ -11,14 +11,14 @@ from train import learn
 
 from dirl.envs import NavigationEnv
 from dirl.envs.live import LiveEnv
-from dirl.evaluation.live import Remembered
+from dirl.evaluation.live_episodes import Remembered
 from dirl.models import FeatureTable
 from dirl.scenes import make_world, write_dump
 from dirl.scenes.live import Pose
 from dirl.scenes.scene import Scene
 from dirl.sources.simulators import take_scene
-from dirl.training import live
-from dirl.training.live import Live, live_protocol, open_live
+from dirl.training import simulation
+from dirl.training.simulation import Live, live_protocol, open_live
 
 
 def encode(images):
@@ -119,7 +119,7 @@ def options(tmp_path, monkeypatch):
     scene = field_scene()
     write_dump(file, scene)
     opened = Live(Field(), Remembered(encode))
-    monkeypatch.setattr(live, "_opened", lambda *_: opened)
+    monkeypatch.setattr(simulation, "_opened", lambda *_: opened)
     small = ["encoder.width=16", "heads.width=16", "reinforcement.agents_per_scene=6", "evaluation.live_episodes=4"]
     return [f"scene={file}", "env=live", "env.simulator=x.yaml", "env.slip=0.1", "env.views=400", *small]
 

@@ -51,7 +51,7 @@ def main() -> None:
         run(name, arguments)
     else:
         from dirl.config.components import check_choice
-        from dirl.runs.errors import one_line_exits
+        from dirl.runs.exits import one_line_exits
 
         with one_line_exits():
             check_choice(f"command '{name}'", name, [*RECIPES, *OTHERS])

@@ -33,7 +33,7 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
     Raises:
         SystemExit: help was asked for, or the command line is wrong.
     """
-    from dirl.runs.errors import end_at_once, one_line_exits
+    from dirl.runs.exits import end_at_once, one_line_exits
 
     end_at_once(b"; nothing was written")
     shows = not SHOWING.isdisjoint(argument.partition("=")[0] for argument in sys.argv[1:])
@@ -77,10 +77,10 @@ def run(main: Callable[[], object], options: object = None) -> None:
     That of an interrupt says whether what ``options`` tell to write was written; a run tells it itself once it trains.
 
     Raises:
-        SystemExit: see `dirl.runs.errors`.
+        SystemExit: see `dirl.runs.exits`.
     """
     from dirl.cli.parsing import one_line_errors
-    from dirl.runs.errors import end_at_once, one_line_exits
+    from dirl.runs.exits import end_at_once, one_line_exits
 
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # else Hydra tells errors in many lines
     gc.freeze()  # what the imports made is not looked through again

@@ -132,7 +132,7 @@ def build_env(
     offered: dict[str, object] = {}
     live = "simulator" in config.env
     if live:
-        from dirl.training.live import open_live  # late: with it comes all that a navigator needs
+        from dirl.training.simulation import open_live  # late: with it comes all that a navigator needs
 
         simulator, encode = open_live(config, world, observation)
         options = {**options, "simulator": simulator}

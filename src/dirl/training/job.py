@@ -23,7 +23,7 @@ from dirl.models import ActorCritic, plain_weights
 from dirl.perception.recognition.recogniser import matching
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.checkpoints import Facts, RunError, State, is_finished, load_checkpoint, restoring
-from dirl.runs.errors import one_line_exits
+from dirl.runs.exits import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
 from dirl.scenes.io.files import read_text, write_json
 from dirl.scenes.live import SimulatorError
@@ -154,7 +154,7 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
     else:
         protocol = replace(like.protocol, seed=run.config.seed)
     if "simulator" in run.config.env:
-        from dirl.training.live import live_protocol, open_live  # late, see `build_env`
+        from dirl.training.simulation import live_protocol, open_live  # late, see `build_env`
 
         live = open_live(run.config, world, observation)
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))

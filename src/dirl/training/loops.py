@@ -29,7 +29,7 @@ from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, metrics
 from dirl.models import ActorCritic, plain_weights
 from dirl.models.distinct import reading_waits
 from dirl.runs.checkpoints import Facts, RunError, State, restoring
-from dirl.runs.errors import interruptible, leave
+from dirl.runs.exits import interruptible, leave
 from dirl.runs.folder import Run
 from dirl.training.build import build_env, build_expert
 from dirl.training.objectives import Losses

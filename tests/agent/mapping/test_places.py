@@ -19,7 +19,7 @@ from dirl.agent.mapping.places import ParticleMapper, resampled, without_doubles
 from dirl.agent.navigator import NavigatorError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
-from dirl.evaluation.maps import map_quality, map_scene
+from dirl.evaluation.map_accuracy import map_quality, map_scene
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import LocalisingMemory
 from dirl.models.localising import Places

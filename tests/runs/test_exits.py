@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from dirl.runs.errors import interruptible, one_line_exits
+from dirl.runs.exits import interruptible, one_line_exits
 
 
 @pytest.fixture(autouse=True)
@@ -68,7 +68,7 @@ def test_what_is_a_fault_of_the_program_keeps_its_traceback():
 
 
 def test_a_closed_pipe_ends_the_program_quietly_and_nothing_slow_is_imported():
-    code = "import sys\nfrom dirl.runs.errors import one_line_exits\nassert 'torch' not in sys.modules\n"
+    code = "import sys\nfrom dirl.runs.exits import one_line_exits\nassert 'torch' not in sys.modules\n"
     code += "with one_line_exits():\n while True: print('x' * 1000)"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.readline()

@@ -8,7 +8,7 @@ import pytest
 import torch
 from field import Field
 
-from dirl.evaluation.live import Remembered, evaluate_live
+from dirl.evaluation.live_episodes import Remembered, evaluate_live
 from dirl.scenes import load_scenes
 from dirl.scenes.live import Dumped, Noisy, Pose, Simulated, repeats, state_pose
 

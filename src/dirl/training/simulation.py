@@ -13,7 +13,7 @@ from dirl.config.files import load_simulator
 from dirl.config.schemas import ConfigError, GoalView, Stop, TrainConfig
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import Episodes, sampled_starts
-from dirl.evaluation.live import Remembered, evaluate_live
+from dirl.evaluation.live_episodes import Remembered, evaluate_live
 from dirl.models import plain_weights
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import packaged_encoder

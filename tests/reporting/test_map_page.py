@@ -10,7 +10,7 @@ from PIL import Image
 from dirl.agent.mapping import MapError
 from dirl.agent.mapping.frames import find_links, map_recordings
 from dirl.perception.matching import Matcher
-from dirl.reporting.walks import write_mcap, write_page, write_route
+from dirl.reporting.map_page import write_mcap, write_page, write_route
 
 pytest.importorskip("cv2")
 
