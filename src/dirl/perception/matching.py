@@ -187,7 +187,7 @@ class Described:
         return F.normalize((torch.from_numpy(looks.astype(np.float32)) - mean) @ axes, dim=1)
 
     def points(self, view: int) -> tuple[NDArray[np.float32], Tensor]:
-        """Positions and vectors of the points of one view, ``[P, 2]`` and ``[P, C]``."""
+        """Return positions and vectors of the points of one view, ``[P, 2]`` and ``[P, C]``."""
         count = int(self.counts[view])
         vectors = torch.from_numpy(self.vectors[view, :count]).float() / SCALE
         return self.positions[view, :count].astype(np.float32), vectors
@@ -223,8 +223,8 @@ class Matcher:
 
     def describe(self, views: Iterable[NDArray[np.uint8]]) -> Described:
         """Describe views, RGB, uint8 ``[H, W, 3]`` each; one is held at a time."""
-        found = [self._describe(view) for view in views]
-        return Described(*(np.stack(parts) for parts in zip(*found, strict=True)))
+        described = [self._describe(view) for view in views]
+        return Described(*(np.stack(parts) for parts in zip(*described, strict=True)))
 
     def _describe(self, view: NDArray[np.uint8]) -> tuple[Any, ...]:
         look = self.encoder(torch.from_numpy(view.copy())[None])[0].numpy().astype(np.float16)
@@ -254,10 +254,10 @@ class Matcher:
         Where points leave it undetermined some versions (5.0) fail with an assertion.
         """
         try:
-            found, mask = getattr(self._cv2, estimator)(*points, **options)
+            geometry, mask = getattr(self._cv2, estimator)(*points, **options)
         except self._cv2.error:
             return None, 0
-        return found, 0 if mask is None else int(mask.sum())
+        return geometry, 0 if mask is None else int(mask.sum())
 
     def motion(
         self, seen: Described, frames: Described, frame: int, size: tuple[int, int], field_of_view: float
@@ -320,7 +320,7 @@ class Matcher:
 
 
 def _heading(rotation: NDArray[np.float64]) -> float:
-    """Degrees to the left of a rotation of the camera."""
+    """Return the degrees to the left of a rotation of the camera."""
     return float(np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2])))
 
 

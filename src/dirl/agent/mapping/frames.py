@@ -132,11 +132,11 @@ class FrameMap:
         return SCALES[self.kind]
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
-        """A frame, small, RGB, uint8 ``[h, w, 3]``."""
+        """Return a frame, small, RGB, uint8 ``[h, w, 3]``."""
         return np.asarray(to_rgb(open_image(self.pictures[frame], PICTURE**2)))
 
     def path(self, start: int, goal: int) -> list[int]:
-        """Frames from one to another; empty if nothing leads there."""
+        """Return the frames of the path from one to another; empty if nothing leads there."""
         far, following = dijkstra(self.graph.T, indices=goal, return_predecessors=True)
         path = [start] if np.isfinite(far[start]) else []
         while path and path[-1] != goal:
@@ -148,10 +148,10 @@ class FrameMap:
         return matcher.motion(self.described[frame : frame + 1], self.described, other, self.size, self.field_of_view)
 
     def same_place(self, frame: int) -> NDArray[np.bool_]:
-        """The frames that may show the same place as one does, ``[N]``: near in time, or to those that are linked."""
+        """Return which frames may show the place of one, bool ``[N]``: near in time to it, or to those linked to it."""
         near = np.zeros(len(self), bool)
-        for one in {frame, *self.links[(self.links == frame).any(1)].ravel().tolist()}:
-            near |= (np.abs(self.times - self.times[one]) <= APART) & (self.parts == self.parts[one])
+        for at in {frame, *self.links[(self.links == frame).any(1)].ravel().tolist()}:
+            near |= (np.abs(self.times - self.times[at]) <= APART) & (self.parts == self.parts[at])
         return near
 
     @property
@@ -174,7 +174,7 @@ class FrameMap:
         return self.combine([self.score(matcher, photos[number : number + 1]) for number in range(len(photos))])
 
     def combine(self, each: Sequence[NDArray[np.float64]]) -> Found:
-        """Where photos in a row were taken whose scores are known."""
+        """Return where photos in a row were taken whose scores are known."""
         frames, hypotheses = np.arange(len(self)), []
         for direction in (1, -1, 0) if len(each) > 1 else (0,):
             total = np.zeros(len(self))
@@ -265,12 +265,12 @@ def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
     for name, (kind, shape, low, high) in expected.items():
         if name in ("costs", "places") and name not in arrays:
             continue
-        found = arrays[name]
-        fits = len(found.shape) == len(shape) and all(
-            want in (None, got) for want, got in zip(shape, found.shape, strict=True)
+        array = arrays[name]
+        fits = len(array.shape) == len(shape) and all(
+            want in (None, got) for want, got in zip(shape, array.shape, strict=True)
         )
-        if not fits or found.dtype != kind or (found.size and not low <= found.min() <= found.max() <= high):
-            raise ValueError(f"{name}: {found.dtype} {list(found.shape)}")
+        if not fits or array.dtype != kind or (array.size and not low <= array.min() <= array.max() <= high):
+            raise ValueError(f"{name}: {array.dtype} {list(array.shape)}")
 
 
 def check_memory(frames: int, every: float) -> None:
@@ -364,7 +364,7 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
     bounded = np.append(parts, [-1, -1])  # so that nothing is before the first frame or after the last one
 
     def supported(one: int, two: int) -> bool:
-        """True if the frames around agree, too, walked in the same direction or in the other."""
+        """Return True if the frames around agree, too, walked in the same direction or in the other."""
         for direction in (1, -1):
             around = [
                 (one + direction * step, two + step)
@@ -383,7 +383,7 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
         return False
 
     def distinct(one: int, two: int) -> bool:
-        """True if the second frame agrees less with any other place than that of the first."""
+        """Return True if the second frame agrees less with any other place than that of the first."""
         near = (np.abs(times - times[one]) <= APART) & (parts == parts[one])
         others = [score for other, score in agreeing[two].items() if not near[other]]
         return agreeing[one][two] >= scale.distinct * max(others, default=0)
@@ -402,8 +402,8 @@ def find_links(graph: FrameMap, matcher: FrameMatcher, *, progress: bool = False
             linked[one].append(two)
             linked[two].append(one)
     links.sort()
-    found = some[np.array(links, np.int64).reshape(-1, 2)]
-    return replace(graph, links=found, costs=np.array([cost[pair] for pair in links]))
+    linked_frames = some[np.array(links, np.int64).reshape(-1, 2)]
+    return replace(graph, links=linked_frames, costs=np.array([cost[pair] for pair in links]))
 
 
 def _compare(

@@ -140,10 +140,10 @@ class Guide:
     ) -> None:
         self.graph = graph
         self.matcher = matcher or load_matcher(graph.kind)
-        found = graph.find(self.matcher, self.matcher.describe(self._fitted(photo) for photo in photos))
-        if found.answer == "not here":
+        answer = graph.find(self.matcher, self.matcher.describe(self._fitted(photo) for photo in photos))
+        if answer.answer == "not here":
             raise MapError("the photo was not taken where the map was recorded")
-        self._scores = found.scores.copy()
+        self._scores = answer.scores.copy()
         self._photo = self.matcher.describe([self._fitted(photos[len(photos) // 2])])
         self._links = graph.graph.copy()
         self.belief = np.full(len(graph), 1 / len(graph))
@@ -236,7 +236,7 @@ class Guide:
         self._since, self._least = 0, float("inf")
 
     def _path(self, here: int) -> list[int]:
-        """The next frames of the path, those that may be in sight."""
+        """Return the next frames of the path, those that may be in sight."""
         path, turning = [here], False
         while len(path) <= self._window and self._far[path[-1]] > 0:
             following = int(self._following[path[-1]])
@@ -249,14 +249,14 @@ class Guide:
         return path
 
     def _step(self, frame: int, following: int) -> float:
-        """Degrees to the left from a frame to the next one of the path."""
+        """Return degrees to the left from a frame to the next one of the path."""
         if (frame, following) not in self._steps:
             described = self.graph.described
             self._steps[frame, following] = self._motion(described[frame : frame + 1], described, following).turned
         return self._steps[frame, following]
 
     def _next_turn(self, path: list[int]) -> float:
-        """Degrees to the left from the first frame of a path to the end of the turn that follows."""
+        """Return degrees to the left from the first frame of a path to the end of the turn that follows."""
         turn = 0.0
         for first, second in pairwise(path):
             step = self._step(first, second)
@@ -282,7 +282,7 @@ class Guide:
         return self._since > PATIENCE * self._window
 
     def _doubt(self, path: list[int]) -> None:
-        """What did not lead on costs more; a goal that was reached in vain is given up for the next best."""
+        """Make what did not lead on cost more; give up a goal that was reached in vain for the next best."""
         if len(path) < 4:
             self._scores[self.graph.same_place(self.goal)] = -1
         for first, second in pairwise(path[:9]):
@@ -299,12 +299,12 @@ class Guide:
         self._arrived = max(self.graph.scale.recognised, ARRIVED * agreeing)
 
     def _motion(self, seen: Described, frames: Described, frame: int) -> Motion:
-        """The motion to a frame; none where too few points agree."""
+        """Return the motion to a frame; no motion where too few points agree."""
         motion = self.matcher.motion(seen, frames, frame, self.graph.size, self.graph.field_of_view)
         return motion or Motion(0.0, 0.0, 0.0)
 
     def _fitted(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """An image of the size of the map's frames; what is wider or taller is cut off."""
+        """Return an image of the size of the map's frames; what is wider or taller is cut off."""
         height, width = self.graph.size
         if image.shape[:2] == (height, width):
             return image
