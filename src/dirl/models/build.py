@@ -75,9 +75,9 @@ def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Modu
     return narrow
 
 
-def _output_width(name: str, made: object, call: Callable[[], object], shape: list[int]) -> int:
+def _output_width(name: str, component: object, call: Callable[[], object], shape: list[int]) -> int:
     """Return the width of what a component gives for one row."""
-    with tried(name, made, f", on features {shape}"), torch.no_grad():
+    with tried(name, component, f", on features {shape}"), torch.no_grad():
         result = call()
     if not isinstance(result, Tensor) or result.ndim != 2 or len(result) != 1:
         given = list(result.shape) if isinstance(result, Tensor) else type(result).__name__
@@ -161,9 +161,9 @@ def turns_of_training(saved: Mapping[str, Any]) -> set[int]:
     return set(saved.get("turns", [4]))
 
 
-def tell_of_turns(trained: Collection[int], found: Collection[int], origin: str) -> None:
+def tell_of_turns(trained: Collection[int], used: Collection[int], origin: str) -> None:
     """Tell in one line on the terminal if a policy is used with numbers of turns that it was not trained with."""
-    if strange := set(found) - set(trained):
+    if strange := set(used) - set(trained):
         known, new = (" and ".join(f"{360 / turns:g}" for turns in sorted(some)) for some in (trained, strange))
         print(
             f"warning: {origin}: was trained with turns of {known} degrees; with turns of {new} degrees its paths may "

@@ -339,8 +339,8 @@ def _xfeat() -> PointFinder:
         image = torch.from_numpy(view.copy()).permute(2, 0, 1)[None].float()
         if min(image.shape[2:]) < 32:  # its coarsest cell
             return np.zeros((0, 2), np.float32), np.zeros((0, 64), np.float32)
-        found = network.detectAndCompute(image)[0]
-        return found["keypoints"].cpu().numpy(), found["descriptors"].cpu().numpy()
+        points = network.detectAndCompute(image)[0]
+        return points["keypoints"].cpu().numpy(), points["descriptors"].cpu().numpy()
 
     return find
 
@@ -350,8 +350,8 @@ def _sift() -> PointFinder:
     sift = cv2.SIFT_create(nfeatures=POINTS, contrastThreshold=0.01)
 
     def find(view: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        found, vectors = sift.detectAndCompute(cv2.cvtColor(np.ascontiguousarray(view), cv2.COLOR_RGB2GRAY), None)
-        positions = np.array([point.pt for point in found], np.float32).reshape(-1, 2)
+        keypoints, vectors = sift.detectAndCompute(cv2.cvtColor(np.ascontiguousarray(view), cv2.COLOR_RGB2GRAY), None)
+        positions = np.array([point.pt for point in keypoints], np.float32).reshape(-1, 2)
         if vectors is None:
             return positions, np.zeros((0, 128), np.float32)
         # RootSIFT: roots of shares, whose cosines compare histograms as they should be (Arandjelovic, Zisserman 2012).
