@@ -122,7 +122,8 @@ def test_messages_of_cameras_become_pixels(ros2):
 
 
 @pytest.mark.parametrize(
-    "name", ["find_withheld_frames", "measure_gpu", "measure_turns", "train_columns", "walk_miniworld"]
+    "name",
+    ["find_withheld_frames", "measure_gpu", "measure_turns", "other_cameras", "train_columns", "walk_miniworld"],
 )
 def test_an_example_tells_its_options(name, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [name, "--help"])
@@ -130,3 +131,16 @@ def test_an_example_tells_its_options(name, monkeypatch, capsys):
         runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
     assert not ended.value.code
     assert "== Options: name=value ==" in capsys.readouterr().out
+
+
+def test_another_camera_sees_the_same_room(monkeypatch):
+    """Without a change the view is the same; in the middle of a camera that is tilted up lies what was higher."""
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    from other_cameras import FIELD_OF_VIEW, seen_through
+
+    view = np.tile(np.arange(0, 240, 4, dtype=np.uint8)[:, None, None], (1, 80, 3))
+    assert (seen_through(view) == view).all()
+    focal = 40 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    tilted = seen_through(view, tilt=np.degrees(np.arctan(5 / focal)))
+    assert abs(int(tilted[30, 40, 0]) - int(view[25, 40, 0])) <= 4
+    assert int(seen_through(view, zoom=2.0)[40, 40, 0]) == pytest.approx(int(view[35, 40, 0]), abs=4)
