@@ -446,8 +446,10 @@ def _course(graph: FrameMap, matcher: FrameMatcher, some: NDArray[np.int64]) -> 
     place = np.append(0, np.cumsum(steps * np.exp(1j * np.radians(heading[:-1] + turned / 2))))
 
     def leads_back(one: int, two: int) -> bool:
+        if unknown[one] != unknown[two]:
+            return True
         motion = graph.motion(matcher, some[one], some[two])
-        if unknown[one] != unknown[two] or motion is None:
+        if motion is None:
             return True
         off = abs((heading[two] - heading[one] - motion.turned + 180) % 360 - 180)
         far = ASTRAY[0] + ASTRAY[1] * (walked[two] - walked[one])
