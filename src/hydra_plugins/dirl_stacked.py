@@ -5,11 +5,10 @@ Hydra takes plug-ins from the package ``hydra_plugins`` only.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra._internal.core_plugins.basic_launcher import BasicLauncher
-from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
-from omegaconf import DictConfig
 
 
 class StackedLauncher(BasicLauncher):
@@ -20,14 +19,9 @@ class StackedLauncher(BasicLauncher):
         from dirl.training.stacked import Job  # late: Hydra imports every plug-in when it starts
 
         assert self.task_function is not None
-        train, jobs = self.task_function, list[Job]()
-
-        def note(composed: DictConfig) -> None:
-            hydra = HydraConfig.get()
-            jobs.append(Job(composed, Path(hydra.runtime.output_dir), list(hydra.overrides.task)))
-
-        self.task_function = note
-        returns = super().launch(job_overrides, initial_job_idx)
+        train, self.task_function = self.task_function, lambda composed: None
+        returns: Sequence[Any] = super().launch(job_overrides, initial_job_idx)
+        jobs = [Job(job.cfg, Path(job.hydra_cfg.hydra.runtime.output_dir), job.overrides) for job in returns]
         for result, returned in zip(train(jobs), returns, strict=True):
             failed = isinstance(result, Exception)
             returned.status = JobStatus.FAILED if failed else JobStatus.COMPLETED

@@ -25,7 +25,6 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.func import vmap
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from dirl.agent.decisions import observe
 from dirl.config.components import TARGET, class_parameters, find_class
@@ -41,9 +40,6 @@ from dirl.training.build import build_env, build_imitation_loss, build_losses, c
 from dirl.training.job import Components, Stages, build_components, conclude, open_job, run_stages
 from dirl.training.loops import TrainState, updates
 from dirl.training.objectives import FULL_BATCH, Losses, trained_parameters
-
-Loop = Callable[..., Any]
-"""`imitation` or `learn` of ``recipes/train.py``."""
 
 VARIED = (
     *("seed", "imitation.", "losses.", "optimiser.lr", "reward.", "logger."),
@@ -93,7 +89,9 @@ def why_alone(config: TrainConfig, components: Components) -> str | None:
     return next((reason for reason, holds in reasons.items() if holds), None)
 
 
-def run_together(jobs: Sequence[Job], train: Stages, imitation: Loop, learn: Loop) -> list[Facts | Exception]:
+def run_together(
+    jobs: Sequence[Job], train: Stages, imitation: Callable[..., Any], learn: Callable[..., Any]
+) -> list[Facts | Exception]:
     """Run the jobs of a sweep, as many of them as one program as can be, by functions of ``recipes/train.py``.
 
     Returns:
@@ -136,7 +134,7 @@ def run_together(jobs: Sequence[Job], train: Stages, imitation: Loop, learn: Loo
 
 
 def run_stack(
-    members: Mapping[int, tuple[Run, Components]], imitation: Loop, learn: Loop
+    members: Mapping[int, tuple[Run, Components]], imitation: Callable[..., Any], learn: Callable[..., Any]
 ) -> Iterator[tuple[int, Facts | Exception]]:
     """Train runs that stand at the same frame as one; yields the summary of each, or its error."""
     print(f"{len(members)} runs as one: {', '.join(str(run.folder) for run, _ in members.values())}", flush=True)
@@ -200,15 +198,13 @@ class Stack:
         self._kept, self._own = tuple[Tensor, ...](), tuple[Tensor, ...]()
         self._answers: Any = None
         self.policies = [state.policy for state in self.members]
-        self.shapes = {name: value.shape for name, value in first.policy.named_parameters()}
-        self.whole = _joined_weights(self.policies)
-        """The weights of every run in one row, ``[R, P]``; those of its policy are views, gradients too."""
-        apart = self.config.reinforcement.clip_per_variable
-        gradients = self._by_name(self.whole.grad).values(True, True) if apart else [self.whole.grad]
-        self.parameters: Any = [SimpleNamespace(grad=gradient) for gradient in gradients]
-        self.joined = partial(joined, self.whole)
+        self.weights = stacked_weights(self.policies)
+        self.parameters = list(self.weights.values(True, True))
         self.optimiser = self.joined([state.optimiser for state in self.members])
-        for state in self.members:  # a generator for its actions, which draws what torch's own would for it alone
+        self.agents: TensorDictBase = torch.stack([state.agents for state in self.members])
+        for state, agents in zip(self.members, self.agents.unbind(0), strict=True):
+            state.agents = agents  # as are its weights a view, which changes with the stack
+            # What draws its actions: the same as torch's own would draw for it alone.
             state.generator = torch.Generator().manual_seed(state.config.seed)
             if state.random is not None:
                 state.generator.set_state(state.random)
@@ -217,16 +213,37 @@ class Stack:
         self.generators: list[torch.Generator] = [state.generator for state in self.members]
         if self.device.type != "cpu":
             self.generators = drawn = drawn[:1]
-        shape = (len(every), *first.agents.shape)
-        self.env = build_env(self.config, self.world, observation, self.form, agents=shape)
+        self.env = build_env(self.config, self.world, observation, self.form, agents=self.agents.shape)
         self.env.base_env.generators = drawn
-        self.agents: TensorDictBase = torch.stack([state.agents for state in self.members])
-        for state, own in zip(self.members, self.agents.unbind(0), strict=True):
-            state.agents = own  # as are its weights a view, which changes with the stack
         self.left = torch.ones((), dtype=torch.float64, device=self.device)
         # Of its graphs: not the default one, with which a capture must share nothing.
         self.stream = torch.cuda.Stream() if reading_waits(self.left) else None
         self.losses = StackedLosses(self, build_losses(first.config, self.form, self.world, demos[0]), demos)
+
+    def joined(self, optimisers: Sequence[Any], *, apart: bool = False) -> Any:
+        """Return the optimisers of the runs as one, with their state.
+
+        It has a group, which one kernel steps, for each learning rate, or if they are to be ``apart`` for each run.
+        """
+        alike: dict[Any, list[Any]] = {}
+        for number, own in enumerate(optimisers):
+            alike.setdefault(number if apart else own.defaults["lr"], []).append(own)
+        rates = torch.tensor([some[0].defaults["lr"] for some in alike.values()], dtype=torch.float64).to(self.device)
+        first, groups = optimisers[0], []
+        for some, rate in zip(alike.values(), rates.float(), strict=True):
+            weights = [value for own in some for value in own.param_groups[0]["params"]]
+            group = first.param_groups[0] | {"params": weights}
+            # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
+            if self.device.type != "cpu" or group.get("fused"):
+                group |= {"lr": rate, "capturable": True}
+            groups.append(group)
+        state = {value: own.state[value] for own in optimisers for value in own.param_groups[0]["params"]}
+        result = object.__new__(type(first))
+        vars(result).update(vars(first), param_groups=groups, state=state, defaults=first.defaults | {"lr": rates})
+        result._warned_capturable_if_run_uncaptured = True  # it is uncaptured before the capture
+        # In place: a graph adds to the same memory at every replay.
+        result.zero_grad = partial(torch._foreach_zero_, [weight.grad for weight in self.parameters])
+        return result
 
     def cloning(self) -> Callable[[], TensorDictBase]:
         """Return what compares each run with the expert on its demonstrations: loss and accuracy, ``[R]``."""
@@ -262,11 +279,6 @@ class Stack:
         pair = self.world.pair(self.goal_index[goal_view_ids[..., 0]], view_ids[..., 0])
         return self.answers().gather(1, pair.flatten(1)).unflatten(1, pair.shape[1:])
 
-    def _by_name(self, whole: Any) -> TensorDict:
-        parts = whole.split([shape.numel() for shape in self.shapes.values()], 1)
-        named = {name: part.view(-1, *self.shapes[name]) for name, part in zip(self.shapes, parts, strict=True)}
-        return TensorDict(named, batch_size=[len(whole)]).unflatten_keys(".")
-
     def each(self, function: Callable[..., Any], *rows: Any) -> Any:
         """Return the function of each run's own rows, with its weights in `form`; all are ``[R, ...]``."""
 
@@ -294,7 +306,6 @@ class Stack:
     def keeping(self, *, learns: bool) -> Iterator[None]:
         """Embed all once within this context of one update; for the losses too if it ``learns``."""
         with torch.set_grad_enabled(learns):
-            self.weights = self._by_name(self.whole)
             self._kept = self.each(self._embedded)
         try:
             yield
@@ -369,29 +380,18 @@ class StackedLosses:
         return self.stack.each(of_run, batch, self.form.coefficients(left), *self.demonstrated)
 
 
-def joined(whole: Tensor, optimisers: Sequence[Any], *, apart: bool = False) -> Any:
-    """Return the optimisers of the runs as one, with their state; their weights are views of all, ``[R, P]``.
+def stacked_weights(policies: Sequence[nn.Module]) -> TensorDict:
+    """Return the parameters of all policies, ``[R, ...]`` each; the policies' own become views, gradients too.
 
-    It has a group, which one kernel steps, for each learning rate, or if they are to be ``apart`` for each run.
+    (``torch.func.stack_module_state`` copies them, and stacks what the runs share.)
     """
-    alike: dict[Any, list[Any]] = {}
-    for number, own in enumerate(optimisers):
-        alike.setdefault(number if apart else own.defaults["lr"], []).append(own)
-    first, groups = optimisers[0], []
-    rates = torch.tensor([some[0].defaults["lr"] for some in alike.values()], dtype=torch.float64, device=whole.device)
-    for some, rate in zip(alike.values(), rates.float(), strict=True):
-        group = first.param_groups[0] | {"params": [weight for own in some for weight in own.param_groups[0]["params"]]}
-        # In a graph the rate is read from its place in the memory. Not every optimiser can on a CPU.
-        if whole.device.type != "cpu" or group.get("fused"):
-            group |= {"lr": rate, "capturable": True}
-        groups.append(group)
-    state = {weight: own.state[weight] for own in optimisers for weight in own.param_groups[0]["params"]}
-    result = object.__new__(type(first))
-    vars(result).update(vars(first), param_groups=groups, state=state, defaults=first.defaults | {"lr": rates})
-    result._warned_capturable_if_run_uncaptured = True  # it is uncaptured before the capture
-    assert whole.grad is not None
-    result.zero_grad = whole.grad.zero_  # in place: a graph adds to the same memory at every replay
-    return result
+    every = [dict(policy.named_parameters()) for policy in policies]
+    weights = {name: torch.stack([own[name] for own in every]).detach().requires_grad_() for name in every[0]}
+    for name, weight in weights.items():
+        weight.grad = torch.zeros_like(weight)
+        for own, value, grad in zip(every, weight.detach(), weight.grad, strict=True):
+            own[name].data, own[name].grad = value, grad
+    return TensorDict(weights, batch_size=[len(every)]).unflatten_keys(".")
 
 
 def with_tensors(configs: Sequence[TrainConfig], device: torch.device) -> TrainConfig:
@@ -416,18 +416,6 @@ def padded(demos: Sequence[TensorDictBase]) -> tuple[TensorDictBase, Tensor]:
     rows = torch.arange(max(map(len, demos)), device=demos[0].device)
     together = torch.stack([own[rows.clamp(max=len(own) - 1)] for own in demos])
     return together, torch.stack([rows < len(own) for own in demos]).float()
-
-
-def _joined_weights(policies: Sequence[nn.Module]) -> Tensor:
-    """Return the parameters of each policy in one row, ``[R, P]``; the policies' own become views, gradients too."""
-    whole = torch.stack([parameters_to_vector(policy.parameters()) for policy in policies]).detach().requires_grad_()
-    whole.grad = torch.zeros_like(whole)
-    for policy, row, grads in zip(policies, whole.detach(), whole.grad, strict=True):
-        vector_to_parameters(row, policy.parameters())
-        own = list(policy.parameters())
-        for value, grad in zip(own, grads.split([value.numel() for value in own]), strict=True):
-            value.grad = grad.view_as(value)
-    return whole
 
 
 def taken(table: Tensor, index: Tensor) -> Tensor:
