@@ -209,7 +209,8 @@ def evaluate(options: Options) -> Result:
         trained = trained._replace(protocol=measured_by(trained.protocol, metric))
     if options.map is not None:
         trained = with_map(trained, options.map, options.last_steps)
-    if options.threshold is not None and build_recogniser(trained.config, "cpu").thresholds is not None:
+    recogniser = build_recogniser(trained.config.recogniser, trust=trained.config.trust)
+    if options.threshold is not None and recogniser.thresholds is not None:
         raise RunError("threshold: this recogniser has thresholds of its own; evaluate with recogniser=ncc")
     if misses_arrivals(trained):
         print(CHANGING)
@@ -316,7 +317,7 @@ def measured_by(protocol: EvaluationProtocol, metric: Metric) -> EvaluationProto
 
 def misses_arrivals(trained: Trained) -> bool:
     """Whether the agent stops by correlation in scenes with several looks (docs/results_agent.md)."""
-    correlates = isinstance(build_recogniser(trained.config, "cpu"), NCC)
+    correlates = isinstance(build_recogniser(trained.config.recogniser, trust=trained.config.trust), NCC)
     return correlates and trained.protocol.world.looks > 1 and trained.config.stop.evaluation == "match"
 
 
@@ -397,7 +398,7 @@ def with_map(trained: Trained, steps_per_state: float, last_steps: int | None) -
     if protocol.observation.history:
         raise RunError("map: needs a policy that sees four views around it; this one sees its last four")
     if not isinstance(protocol.memory, LocalisingMemory) or protocol.scores is None:
-        recogniser = build_recogniser(trained.config, protocol.world.device)
+        recogniser = build_recogniser(trained.config.recogniser, protocol.world.device, trained.config.trust)
         memory = GraphMemory(protocol.world, steps_per_state, recogniser=recogniser)
         return trained._replace(
             policy=GuidedPolicy(trained.policy, memory, LAST_STEPS if last_steps is None else last_steps)

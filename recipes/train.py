@@ -39,7 +39,6 @@ from dirl.training.objectives import (
     make_advantages,
     minibatches,
     set_learning_rate,
-    total_loss,
 )
 from dirl.training.pairs import Demonstrations
 from dirl.training.rollout import Report, collect, report
@@ -132,8 +131,9 @@ def learn(state: TrainState | Stack, loop: Updates) -> None:
             batch = advantages(bootstrap(batch, critic))  # equations 5 and 6
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
                 losses = state.losses(part, state.left)  # equations 7 and 8, and 12 with a weight
+                loss = sum(value for name, value in losses.items() if name.startswith("loss_"))
                 optimiser.zero_grad()
-                total_loss(losses).sum().backward()  # over the runs, if they are a stack
+                loss.sum().backward()  # over the runs, if they are a stack
                 norm = clip_gradients(
                     state.parameters,
                     options.max_grad_norm,

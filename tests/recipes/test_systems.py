@@ -8,8 +8,8 @@ import torch
 from commands import TINY, done, room_file, run_recipe, start_recipe, wait_until
 from parts import make_parts
 
+from dirl.config.components import make
 from dirl.config.schemas import ConfigError
-from dirl.training.build import build_optimiser
 from dirl.training.hogwild import fetch, share
 
 
@@ -91,7 +91,9 @@ def test_shared_weights_start_as_the_network_and_shared_statistics_as_the_optimi
         "optimiser.lr=0.1",
     ]
     alone, other = (make_parts(*options) for _ in range(2))
-    first, second = (build_optimiser(parts.config, parts.policy) for parts in (alone, other))
+    first, second = (
+        make("optimiser", parts.config.optimiser, params=parts.policy.parameters()) for parts in (alone, other)
+    )
     shared = share(other.policy, second, frames=7)
     assert shared.claimed.value == 7
     assert all(weight.is_shared() for weight in shared.weights)

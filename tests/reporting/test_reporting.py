@@ -16,6 +16,7 @@ from rooms import CELL, grid_scene, renumbered
 
 from dirl.reporting import draw_learning_curve, draw_trajectories, result_table, run_title, summary_table
 from dirl.reporting.style import write_figure
+from dirl.reporting.tables import read_columns
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import read_dump
 
@@ -52,6 +53,18 @@ def cells(table):
     """The cells of a Markdown table's lines, without the rule under the heading."""
     lines = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in table.splitlines()]
     return [lines[0], *lines[2:]]
+
+
+def test_columns_of_a_table_have_nan_for_empty_cells_and_a_file_that_is_no_table_is_refused(tmp_path):
+    file = tmp_path / "a.csv"
+    assert read_columns(file, "a")["a"].tolist() == []
+    file.write_bytes(b"a,b\r\n1,\r\n2,3\r\n")
+    columns = read_columns(file, "b", "a")
+    assert (columns["a"].tolist(), columns["b"][1]) == ([1, 2], 3)
+    assert math.isnan(columns["b"][0])
+    file.write_bytes(b"a,b\n" + b"\0" * 200_000)
+    with pytest.raises(ValueError, match=r"a\.csv: is no table"):
+        read_columns(file, "a")
 
 
 def test_a_png_has_the_pixels_that_matplotlib_itself_would_write(tmp_path):

@@ -46,7 +46,7 @@ def load_parts(
     changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
     config = read_config(saved["config"], origin, changes, trust)
     encoder = encoder or own_encoder(saved, origin)
-    patches, recognises = reads_patches(config), build_recogniser(config, device)
+    patches, recognises = reads_patches(config), build_recogniser(config.recogniser, device, config.trust)
     fine = patches and isinstance(recognises, Learned) and encoder == LITE  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]

@@ -12,10 +12,12 @@ from torchrl.modules import ActorValueOperator, ProbabilisticActor
 from torchrl.objectives import A2CLoss
 from torchrl.objectives.value import GAE
 
+from dirl.config.components import make
 from dirl.config.schemas import TrainConfig
 from dirl.envs import NavigationEnv, Reward, SurroundingViews, ViewFeatures
 from dirl.models.build import build_policy, feature_table
-from dirl.training.build import build_optimiser, build_world
+from dirl.training.build import build_world
+from dirl.training.objectives import trained_parameters
 
 
 def stock_torchrl(config: TrainConfig, updates: int) -> float:
@@ -42,7 +44,7 @@ def stock_torchrl(config: TrainConfig, updates: int) -> float:
     policy, value = operator.get_policy_operator(), operator.get_value_operator()
     gae = GAE(gamma=options.gamma, lmbda=options.lmbda, value_network=value, deactivate_vmap=True)
     loss = A2CLoss(policy, value, entropy_coeff=options.entropy_coef.start, critic_coeff=options.critic_coef)
-    optimiser = build_optimiser(config, loss)
+    optimiser = make("optimiser", config.optimiser, config.trust, params=trained_parameters(loss))
 
     def make_env() -> EnvBase:
         reward = Reward(config.reward.goal, config.reward.step, config.reward.collision)

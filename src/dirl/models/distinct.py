@@ -128,7 +128,7 @@ class CachedEncoder(nn.Module):
         front: bool = False,
     ) -> None:
         super().__init__()
-        self.keys = Keys(len(table.table), views if surrounding is None else 1)
+        self.keys = Keys(len(table.table), views)  # where any four states can be observed together
         self._wrapped: tuple[Any, FeatureTable] = (encoder, table)  # in a tuple, which torch does not register
         self.front = front and surrounding is not None
         if front and surrounding is not None:
@@ -168,11 +168,13 @@ class CachedEncoder(nn.Module):
         return embed(self._wrapped[1](self.keys.unpack(keys) if self.surrounding is None else self.surrounding[keys]))
 
     def _pack(self, view_ids: Tensor) -> Tensor:
-        """Return a key for each observation, int64 ``[B, 4]`` to ``[B]``."""
+        """Return a key for each observation, int64 ``[B, 4]`` to ``[B]``: its state, where that says all."""
+        if self.surrounding is None:
+            return self.keys.pack(view_ids)
         unknown = len(self._wrapped[1])
         if self.front:  # states first, then goals of which only the front view is known
             return view_ids[:, 0] + unknown * (view_ids[:, 1] == unknown)
-        return self.keys.pack(view_ids[:, : self.keys.slots])
+        return view_ids[:, 0].contiguous()
 
     @contextmanager
     def keeping(self, *, learns: bool) -> Iterator[None]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dirl.config.folders import command
 from dirl.runs.checkpoints import Summary
-from dirl.scenes.io.files import atomic_path, read_rows
+from dirl.scenes.io.files import atomic_path, read_text
 
 # Heading, key in `dirl.evaluation.metrics`, decimals. With labels of 13 characters a table has 80 columns.
 MEASURES = (
@@ -160,8 +160,15 @@ def scene_names(scene: str | Sequence[str]) -> str:
 
 
 def read_columns(file: Path, *names: str) -> dict[str, NDArray[np.float64]]:
-    """Return some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows."""
-    rows = read_rows(file) if file.is_file() else []
+    """Return some columns of a CSV file; an empty cell is NaN. A stage that never ran has no file, so no rows.
+
+    Raises:
+        ValueError: it is no table, see also `dirl.scenes.io.files.read_text`.
+    """
+    try:
+        rows = list(csv.DictReader(read_text(file).splitlines(), strict=True)) if file.is_file() else []
+    except csv.Error as error:
+        raise ValueError(f"{file}: is no table ({error})") from None
     return {name: np.array([float(row[name] or "nan") for row in rows], float) for name in names}
 
 

@@ -188,6 +188,11 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         shared.append(copy.copy(scene))
         object.__setattr__(shared[-1], "features", own)  # of the same values, so that nothing is to be checked again
     along = [scene.along for scene in scenes if scene.along is not None]
+    patches = [scene.patches for scene in scenes if scene.patches is not None]
+    shapes = sorted({each.shape[1:] for each in patches})
+    if len(patches) == len(scenes) and len(shapes) > 1:
+        raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
+    all_patches = _look_by_look(scenes, "patches", looks) if len(patches) == len(scenes) else None
     return World(
         scenes=tuple(shared),
         names=tuple(names),
@@ -196,7 +201,7 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         graph=torch.from_numpy(np.concatenate(graphs)),
         surrounding=torch.from_numpy(np.concatenate([s.surrounding + offset for s, offset in parts])),
         features=torch.from_numpy(features),
-        patches=_patches(scenes, looks),
+        patches=None if all_patches is None else torch.from_numpy(np.concatenate(all_patches)),
         along=torch.from_numpy(np.concatenate(along, dtype=np.float32)) if len(along) == len(scenes) else None,
         scene_of=torch.repeat_interleave(torch.arange(len(scenes)), torch.tensor(sizes)),
         turns=torch.tensor([turns_per_circle(scene.graph) for scene in scenes]),
@@ -211,17 +216,6 @@ def _look_by_look(scenes: Sequence[Scene], name: str, looks: int) -> list[NDArra
         for look in range(looks)
         for scene in scenes
     ]
-
-
-def _patches(scenes: Sequence[Scene], looks: int) -> Tensor | None:
-    """Return the patches of all scenes, look by look, one behind the other."""
-    patches_of = [scene.patches for scene in scenes if scene.patches is not None]
-    if len(patches_of) < len(scenes):
-        return None
-    shapes = sorted({patches.shape[1:] for patches in patches_of})
-    if len(shapes) > 1:
-        raise SceneError(f"the scenes' patches have different shapes, {shapes}; encode them alike")
-    return torch.from_numpy(np.concatenate(_look_by_look(scenes, "patches", looks)))
 
 
 def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], goals: Goals) -> dict[str, Any]:

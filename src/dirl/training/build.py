@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
-from torch.optim import Optimizer
 from torchrl.envs import Compose, EnvBase, InitTracker, StepCounter, Transform, TransformedEnv
 
 from dirl.config.components import TARGET, Options, components, find_class, make, schedules, tried
@@ -244,11 +243,6 @@ def build_losses(config: TrainConfig, policy: ActorCritic, world: World, demos: 
     return Losses(policy, ordered, demos, config.imitation.batch_size)
 
 
-def build_optimiser(config: TrainConfig, policy: nn.Module, losses: nn.Module | None = None) -> Optimizer:
-    """Return the optimiser of the policy's weights, and of the losses' own."""
-    return make("optimiser", config.optimiser, config.trust, params=trained_parameters(policy, losses))
-
-
 def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | StopRule | None:
     """Return where agents stop on the way to each goal, bool ``[P]``, or a `StopRule` if views change; None: at it."""
     if rule == Stop.goal:
@@ -267,7 +261,7 @@ def build_protocol(
     """
     options = config.evaluation
     memory = make("episodic_memory", config.episodic_memory, config.trust)
-    recogniser = build_recogniser(config, world.device)
+    recogniser = build_recogniser(config.recogniser, world.device, config.trust)
     set_memory_threshold(memory, recogniser)
     if isinstance(memory, PlanningMemory | LocalisingMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(

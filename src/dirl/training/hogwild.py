@@ -22,6 +22,7 @@ import torch.multiprocessing
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
+from dirl.config.components import make
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.models import ActorCritic, caching, plain_weights, recurrent_keys
 from dirl.training.build import (
@@ -29,7 +30,6 @@ from dirl.training.build import (
     build_env,
     build_losses,
     build_observation,
-    build_optimiser,
     build_world,
     learning_policy,
 )
@@ -41,7 +41,7 @@ from dirl.training.objectives import (
     make_advantages,
     minibatches,
     set_learning_rate,
-    total_loss,
+    trained_parameters,
 )
 from dirl.training.rollout import Report, collect, report
 
@@ -177,7 +177,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
     policy: ActorCritic = copy.deepcopy(common)
     for parameter, weight in zip(common.parameters(), shared.weights, strict=True):
         parameter.data = weight
-    optimiser = build_optimiser(config, common)
+    optimiser = make("optimiser", config.optimiser, config.trust, params=trained_parameters(common))
     for parameter, statistics in zip(common.parameters(), shared.statistics, strict=True):
         optimiser.state[parameter].update(statistics)
     agents_in_all = options.agents_per_scene * len(world.scenes)
@@ -205,7 +205,7 @@ def work(config: TrainConfig, shared: Shared, total: int, number: int, sender: C
             for part in minibatches(batch, options.epochs, options.minibatches, by_agent=by_agent):
                 losses = compute_losses(part, left)
                 policy.zero_grad()
-                total_loss(losses).backward()
+                sum(value for name, value in losses.items() if name.startswith("loss_")).backward()
                 norm = clip_gradients(own, options.max_grad_norm, per_variable=options.clip_per_variable)
                 for parameter, mine in zip(common.parameters(), own, strict=True):
                     parameter.grad = mine.grad

@@ -14,7 +14,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from dirl.config.components import check_components, packages_to_trust
+from dirl.config.components import check_components, make, packages_to_trust
 from dirl.config.files import typed
 from dirl.config.folders import command
 from dirl.config.schemas import Device, Precision, Starts
@@ -34,7 +34,6 @@ from dirl.training.build import (
     build_goals,
     build_losses,
     build_observation,
-    build_optimiser,
     build_protocol,
     build_world,
     describe,
@@ -180,12 +179,12 @@ def tell_of_far_goals(world: World) -> None:
 
 def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
     """Return the state of a reinforcement before its first update, or from the checkpoint that the run continues."""
-    optimiser = build_optimiser(run.config, policy, losses)
+    trained = trained_parameters(policy, losses)
+    optimiser = make("optimiser", run.config.optimiser, run.config.trust, params=trained)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
     world = protocol.world
     to_goals = [world.block(world.distances, goal) for goal in range(len(world.goals))]
     meter = EpisodeMeter([steps[steps > 0].double().mean().item() for steps in to_goals])
-    trained = trained_parameters(policy, losses)
     state = TrainState(run.config, policy, losses, trained, optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
         with restoring(run.folder):

@@ -201,11 +201,6 @@ def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> li
     return list(dict.fromkeys(parameter for parameter in both if parameter.requires_grad))
 
 
-def total_loss(losses: TensorDictBase) -> Tensor:
-    """Return the sum of the ``loss_*`` entries."""
-    return sum(value for key, value in losses.items() if key.startswith("loss_"))
-
-
 class ImitationLoss(nn.Module):
     """Cross-entropy between the expert's action and the actor's distribution (paper equation 12).
 

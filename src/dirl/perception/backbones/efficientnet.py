@@ -14,9 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
+from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, resized, staged_encoder, weights_hash
 from dirl.perception.backbones.patches import load_projection
-from dirl.perception.backbones.resnet import resized
 from dirl.scenes.io.files import file_digest
 
 SIZE = (224, 224)

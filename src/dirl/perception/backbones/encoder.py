@@ -4,7 +4,9 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 
 from dirl.scenes.io.hdf5 import extractor_text
@@ -84,6 +86,23 @@ class _Staged:
         both = ((self.pool(stage).float(), self.projection(stage)) for stage in self.stages(views))
         pooled, parts = zip(*both, strict=True)
         return torch.cat(pooled), torch.cat(parts)
+
+
+def resized(views: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resize views by Pillow, to float32 ``[B, *size, 3]`` in [0, 255], on the CPU.
+
+    Pillow resizes one view at a time, because that is how the features of the built-in rooms were made. torch's
+    own antialiasing rounds differently and changes features by 0.2 %; without antialiasing they change by 15 %.
+
+    Raises:
+        ValueError: the views are not uint8 ``[B, H, W, 3]``.
+    """
+    if views.dtype != torch.uint8 or views.ndim != 4 or views.shape[-1] != 3:
+        raise ValueError(f"views are uint8 [B, H, W, 3], not {views.dtype} {list(views.shape)}")
+    images = torch.empty(len(views), *size, 3)
+    for image, view in zip(images, views.cpu().numpy(), strict=True):
+        image[:] = torch.from_numpy(np.array(Image.fromarray(view).resize(size[::-1], Image.Resampling.BILINEAR)))
+    return images
 
 
 def weights_hash(parameters: Mapping[str, Tensor]) -> str:

@@ -9,13 +9,12 @@ import copy
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 import torch
 import torch.nn.functional as F
-from PIL import Image
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from dirl.perception.backbones.encoder import resized
 from dirl.scenes.io.files import read_tensors
 
 SIZE = (224, 224)
@@ -101,10 +100,7 @@ class ResNet50(nn.Module):
 
 
 def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
-    """Return the backbone's input: views resized, scaled to [0, 1], and normalised as on ImageNet.
-
-    Pillow resizes one view at a time, because that is how the features of the built-in rooms were made. torch's
-    own antialiasing rounds differently and changes features by 0.2 %; without antialiasing they change by 15 %.
+    """Return the backbone's input: views `resized`, scaled to [0, 1], and normalised as on ImageNet.
 
     Args:
         views: RGB, uint8 ``[B, H, W, 3]``.
@@ -118,16 +114,6 @@ def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
     """
     normalised = (resized(views, size) / 255 - torch.tensor(MEAN)) / torch.tensor(STD)
     return normalised.permute(0, 3, 1, 2).contiguous().to(views.device)
-
-
-def resized(views: Tensor, size: tuple[int, int]) -> Tensor:
-    """Resize views by Pillow, to float32 ``[B, *size, 3]`` in [0, 255], on the CPU; see `preprocess`."""
-    if views.dtype != torch.uint8 or views.ndim != 4 or views.shape[-1] != 3:
-        raise ValueError(f"views are uint8 [B, H, W, 3], not {views.dtype} {list(views.shape)}")
-    images = torch.empty(len(views), *size, 3)
-    for image, view in zip(images, views.cpu().numpy(), strict=True):
-        image[:] = torch.from_numpy(np.array(Image.fromarray(view).resize(size[::-1], Image.Resampling.BILINEAR)))
-    return images
 
 
 def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:

@@ -6,7 +6,7 @@ looked up; a `TemplateStop` says by them where agents stop.
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dirl.config.components import make, tried
+from dirl.config.components import Options, make, tried
 from dirl.config.files import group_options
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.scenes.world import World
@@ -186,14 +186,19 @@ def in_blocks(recogniser: Recogniser, seen: Tensor, references: Tensor, block: i
     return torch.cat([recogniser.scores(rows, references) for rows in seen.split(block)])
 
 
-def build_recogniser(config: TrainConfig, device: torch.device | str) -> Recogniser:
-    """Make the recogniser of the stop and the episodic memory, on a device."""
-    recogniser: Any = make("recogniser", config.recogniser, config.trust) or NCC()
-    return checked(recogniser.to(device) if isinstance(recogniser, nn.Module) else recogniser)
+def build_recogniser(
+    options: Options, device: torch.device | str = "cpu", trust: Collection[str] | None = None
+) -> Recogniser:
+    """Make the recogniser of the stop and the episodic memory, which may be of a user's own; `NCC` by default.
 
+    ``trust`` is as for `dirl.config.components.find_class`.
 
-def checked(recogniser: Any) -> Recogniser:
-    """Return a recogniser that may be of a user's own; `ConfigError` if it lacks a member of `Recogniser`."""
+    Raises:
+        ConfigError: it cannot be made, or lacks a member of `Recogniser`.
+    """
+    recogniser: Any = make("recogniser", options, trust) or NCC()
+    if isinstance(recogniser, nn.Module):
+        recogniser = recogniser.to(device)
     members = ("reads_patches", "calibrated", "thresholds", "fit", "describe", "scores")
     missing = [name for name in members if not hasattr(recogniser, name)]
     if missing:
@@ -365,7 +370,8 @@ class TemplateStop:
 
 def matching(config: TrainConfig, device: torch.device | str) -> TemplateStop:
     """Make the stop by template matching, for a world on a device."""
-    return stop_by(build_recogniser(config, device), config.stop.threshold, config.stop.match)
+    recogniser = build_recogniser(config.recogniser, device, config.trust)
+    return stop_by(recogniser, config.stop.threshold, config.stop.match)
 
 
 def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateStop:
@@ -377,4 +383,4 @@ def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateSto
 
 def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
     """Make the stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
-    return stop_by(checked(make("recogniser", group_options("recogniser", choice) or {})), threshold, match)
+    return stop_by(build_recogniser(group_options("recogniser", choice) or {}), threshold, match)

@@ -79,14 +79,6 @@ def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: 
         raise ValueError(f"{file}: is not UTF-8 text ({error}); save it as UTF-8") from None
 
 
-def read_rows(file: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file whose first line names the columns; ValueError if it is no such table."""
-    try:
-        return list(csv.DictReader(read_text(file).splitlines(), strict=True))
-    except csv.Error as error:
-        raise ValueError(f"{file}: is no table ({error})") from None
-
-
 def read_arrays(file: Path) -> dict[str, np.ndarray]:
     """Return the arrays of an ``.npz`` file; the sizes that it declares are checked before any is unpacked.
 
