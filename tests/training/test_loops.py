@@ -7,6 +7,7 @@ import torch
 from commands import room_file, train_config
 from parts import Loop, make_parts, train_state
 from refusals import refused
+from rooms import grid_scene
 from train import imitate, learn, train
 
 from dirl.runs.folder import Run
@@ -53,6 +54,12 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
     assert (resumed.agents == state.agents).all()
     initial = first.policy.state_dict()
     assert not torch.equal(initial["encoder.embedding.weight"], state.policy.state_dict()["encoder.embedding.weight"])
+
+
+def test_an_episode_is_near_the_shortest_path_by_the_mean_over_the_starts_of_its_goal(tmp_path):
+    state = train_state(make_parts(f"scene={room_file(tmp_path)}", *SMALL))
+    distances = grid_scene().distances[:, [0, 13]]
+    assert state.meter.shortest == pytest.approx((distances.sum(0) / 23).tolist())  # all other 23 states are starts
 
 
 @pytest.fixture

@@ -40,6 +40,13 @@ def test_agents_that_are_done_start_anew(world, policy):
     assert not agents["done"].any()
 
 
+def test_actions_are_sampled_and_not_the_most_probable_ones(world, policy):
+    batch, _ = collect(make_env(world), policy, make_env(world).reset(), STEPS)
+    case = batch["state"] * len(world) + batch["goal"]
+    taken = torch.stack([case.flatten(), batch["action"].flatten()]).unique(dim=1)
+    assert taken.shape[1] > 1.5 * len(case.unique())  # several in a state on the way to a goal
+
+
 def test_two_short_calls_are_one_long_call(world, policy):
     def in_calls_of(*lengths):
         env = make_env(world, SequentialViews)

@@ -119,6 +119,19 @@ def test_a_walk_that_ends_in_doubt_believes_the_match():
     assert graph.moves[8][AHEAD] == 0
 
 
+def test_a_node_that_is_known_to_be_turned_to_from_another_one_is_no_twin():
+    graph, views = ImageGraph(turns=8), torch.randn(3, 4, 64, generator=torch.Generator().manual_seed(0))
+    graph.see(views[0])
+    aside = graph.see(views[1], RIGHT)
+    graph.lose()
+    graph.see(views[2])
+    graph.see(views[1], RIGHT)  # looks like `aside`, which lies to the right of the first place
+    assert (graph.doubt, len(graph)) == (None, 16)
+    assert graph.moves[0][RIGHT] == aside
+    graph.lose()
+    assert len(graph) == 16
+
+
 def test_one_look_that_fits_nowhere_is_passed_over():
     scene = grid_scene(**ROOM)
     graph, seen = ImageGraph(), looks(scene)
