@@ -22,7 +22,7 @@ from dirl.evaluation.episodes import shortest_episodes
 from dirl.evaluation.protocol import metrics, report
 from dirl.models import caching
 from dirl.perception.backbones import load_encoder
-from dirl.perception.recognition.recogniser import VisitScores, checked
+from dirl.perception.recognition.recogniser import VisitScores, build_recogniser
 from dirl.reporting.tables import result_table
 from dirl.scenes import SceneError, load_scenes, make_world
 from dirl.scenes.live import Pose
@@ -278,15 +278,21 @@ def broken(cls, **members):
     return type(cls.__name__, (cls,), members)
 
 
-def test_a_recogniser_of_ones_own_stops_agents_and_is_refused_in_one_line_if_it_is_none(tmp_path):
+def test_a_recogniser_of_ones_own_stops_agents_and_is_refused_in_one_line_if_it_is_none(tmp_path, monkeypatch):
+    import cosine
     from cosine import Cosine
 
+    def made(cls=Cosine):
+        monkeypatch.setattr(cosine, "Cosine", cls)
+        return build_recogniser({"_target_": "cosine.Cosine"})
+
     world = make_world(load_scenes(str(room_file(tmp_path))))
-    scores = VisitScores(checked(Cosine()), world)
+    scores = VisitScores(made(), world)
     every = torch.arange(len(world))
     assert (scores(every, every) > 0.999).all()
-    refused(r"^recogniser: Cosine has no thresholds, scores$", checked, without(Cosine, "thresholds", "scores"))
-    refused(r"thresholds must be Thresholds of dirl or None, not float$", checked, broken(Cosine, thresholds=0.9)())
+    refused("has no method scores, which every recogniser has$", made, without(Cosine, "scores"))
+    refused(r"^recogniser: Cosine has no calibrated, thresholds$", made, without(Cosine, "thresholds", "calibrated"))
+    refused(r"thresholds must be Thresholds of dirl or None, not float$", made, broken(Cosine, thresholds=0.9))
     with pytest.raises(ConfigError, match=r"^recogniser: .*describe gave \[24\] for 24 views; expected \[N, F\]"):
         VisitScores(broken(Cosine, describe=lambda self, features, patches=None: features[:, 0])(), world)
     with pytest.raises(ConfigError, match=r"^recogniser: .*scores gave \[2\] for 2 visits and 3 references"):
@@ -294,9 +300,9 @@ def test_a_recogniser_of_ones_own_stops_agents_and_is_refused_in_one_line_if_it_
 
 
 def without(cls, *names):
-    """An object like one of a class, without some members."""
+    """A class like another, without some members."""
     members = {name: value for name, value in vars(cls).items() if name not in names and not name.startswith("__")}
-    return type(cls.__name__, (), members)()
+    return type(cls.__name__, (), members)
 
 
 def test_a_metric_of_ones_own_is_measured_by_scene_and_goal(parts):

@@ -199,9 +199,8 @@ def build_recogniser(
     recogniser: Any = make("recogniser", options, trust) or NCC()
     if isinstance(recogniser, nn.Module):
         recogniser = recogniser.to(device)
-    members = ("reads_patches", "calibrated", "thresholds", "fit", "describe", "scores")
-    missing = [name for name in members if not hasattr(recogniser, name)]
-    if missing:
+    # Its methods have been looked for in its class.
+    if missing := [name for name in ("reads_patches", "calibrated", "thresholds") if not hasattr(recogniser, name)]:
         raise ConfigError(f"recogniser: {type(recogniser).__name__} has no {', '.join(missing)}")
     if not isinstance(recogniser.thresholds, Thresholds | None):
         raise ConfigError(
