@@ -3,28 +3,30 @@
     python examples/buildings.py "kinds=[bedroom,bathroom,kitchen]" seed=10001 out=flat
     python recipes/scenes.py tour path=flat out=flat.h5
 
-Without furniture in front of the doorways, and rendered as the built-in rooms are: synthetic.
+Without furniture in front of the doorways, and rendered as the built-in rooms are: synthetic. With ``walk=true`` it is
+the frames of a camera that is carried from the first room to the last, and two photos beside the way.
 """
 
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order
+from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
 from dirl.cli.start import run, start
 from dirl.config.options import option
 from dirl.scenes.scene import SceneError
-from dirl.sources.rooms.description import Material, RoomDescription
+from dirl.sources.rooms.description import Camera, Material, RoomDescription
 from dirl.sources.rooms.layout import Opening, assemble, materials_of
 from dirl.sources.rooms.mesh import Array, Mesh, Part
 from dirl.sources.rooms.sampling import KINDS, sample_room
-from dirl.sources.rooms.view import Renderer
+from dirl.sources.rooms.view import Pose, Renderer
 from dirl.sources.rooms.walkable import TOUCH, clearance, footprint, footprints
 
 WALL = 0.12
@@ -57,6 +59,7 @@ class Options:
     out: str = option("the folder of the panoramas and their tables, made if there is none")
     seed: int = option("of the first room; of the others the numbers that follow", 0)
     height: int = option("of a panorama, pixels; it is twice as wide", 128)
+    walk: bool = option("frames of a walk in place of panoramas, 320x180 pixels", False)
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,10 @@ def _jambs(x: float, y: float) -> list[Part]:
     return [part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts]
 
 
+STRIDE = 0.5, 15.0
+"""Metres and degrees between the frames of a walk."""
+
+
 class Panoramas(NamedTuple):
     """Where panoramas stand, and from which to which there are links."""
 
@@ -269,8 +276,46 @@ def write_building_tour(
     return found
 
 
-def main(kinds: list[str], out: str, seed: int, height: int) -> None:
-    """Draw a building and the tour of it."""
+def walk_poses(building: Building) -> list[Pose]:
+    """Return where a camera is on a walk from the first room to the last, a pose every `STRIDE`."""
+    places, links = choose_panoramas(building)
+    length = np.linalg.norm(places[links[:, 0]] - places[links[:, 1]], axis=1)
+    graph = coo_array((length, links.T), (len(places), len(places))).tocsr()
+    before = dijkstra(graph, indices=int(places[:, 0].argmin()), return_predecessors=True)[1]
+    path = [int(places[:, 0].argmax())]
+    while before[path[-1]] >= 0:
+        path.append(int(before[path[-1]]))
+    poses: list[Pose] = []
+    for here, there in pairwise(places[path[::-1]]):
+        ahead = float(np.degrees(np.arctan2(*(there - here))))
+        turn = (ahead - poses[-1][2] + 180) % 360 - 180 if poses else 0.0
+        left = np.linspace(turn, 0, int(abs(turn) // STRIDE[1]) + 1, endpoint=False)[1:]
+        steps = np.linspace(here, there, int(np.linalg.norm(there - here) // STRIDE[0]) + 1, endpoint=False)
+        poses += [(*here, ahead - part) for part in left] + [(*step, ahead) for step in steps]
+    return poses
+
+
+def write_walk(building: Building, folder: Path) -> int:
+    """Render what a camera of 65 degrees sees on a walk into the folder's ``frames``; return how many there are.
+
+    Photos near both ends of the walk, ``start.png`` and ``goal.png``, are taken 14 cm and 7 degrees aside of it.
+    """
+    poses = walk_poses(building)
+    shots = {f"frames/{number}": pose for number, pose in enumerate(poses)}
+    for name, (x, y, heading) in {"start": poses[2], "goal": poses[-2]}.items():
+        shots[name] = (x + 0.1, y + 0.1, heading + 7)
+    (folder / "frames").mkdir(parents=True, exist_ok=True)
+    renderer = Renderer.lit(*assemble_building(building), building.size, 1.4, fine=False)
+    for name, pose in shots.items():
+        Image.fromarray(renderer.view(Camera(fov=65.0), pose, (180, 320))).save(folder / f"{name}.png")
+    return len(poses)
+
+
+def main(kinds: list[str], out: str, seed: int, height: int, walk: bool) -> None:
+    """Draw a building, and the tour of it or a walk through it."""
+    if walk:
+        print(f"{out}: {write_walk(sample_building(kinds, seed), Path(out))} frames")
+        return
     found = write_building_tour(sample_building(kinds, seed), Path(out), size=(height, 2 * height), seed=seed)
     print(f"{out}: {len(found.places)} panoramas, {len(found.links)} links")
 

@@ -7,6 +7,7 @@ from buildings import (
     Building,
     choose_panoramas,
     sample_building,
+    walk_poses,
     write_building_tour,
 )
 from closet import closet
@@ -52,3 +53,7 @@ def test_buildings_in_a_row_are_as_they_were():
     found = choose_panoramas(building)
     assert (len(found.places), len(found.links)) == (15, 36)
     assert found.places.sum() == pytest.approx(149.49)
+    poses = np.array(walk_poses(building))
+    assert poses[0, 0] < 4.4 < 10.7 < poses[-1, 0]
+    assert np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).max() <= 0.5
+    assert np.abs(wrap(np.diff(poses[:, 2]))).max() <= 15
