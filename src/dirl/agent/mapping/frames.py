@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from dirl.agent.mapping.image_graph import MapError
 from dirl.perception.columns import load_column_net
-from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Motion, Scale
+from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Motion, Scale, fit_closely
 from dirl.scenes.io.files import atomic_path, read_arrays
 from dirl.scenes.views import encode, open_image, to_rgb
 
@@ -31,6 +31,9 @@ SCHEMA = 2
 
 NEIGHBOURS = 0.5
 """What the frames before and after count, beside the frame itself: a place is seen from both."""
+
+RIVALS, RIVAL = 6, 0.6
+"""Of the best frames so many at most are compared closely, if they score so much of what the best one does."""
 
 APART = 6.0
 """Seconds from which another frame is another place, unless links say that it is not."""
@@ -204,7 +207,13 @@ class FrameMap:
         scores = agreeing.copy()
         scores[1:] += NEIGHBOURS * agreeing[:-1] * joined
         scores[:-1] += NEIGHBOURS * agreeing[1:] * joined
-        return np.asarray(scores + self.scale.look * likeness.clip(min=0))
+        scores += self.scale.look * likeness.clip(min=0)
+        best = np.argsort(-scores)[:RIVALS]
+        best = best[scores[best] >= RIVAL * scores[best[0]]]
+        if self.scale.learned and not self.same_place(int(best[0]))[best].all():
+            closely = fit_closely(photo, self.described, best.tolist(), self.size)
+            scores[best] += self.scale.learned * closely - agreeing[best]
+        return scores
 
     def save(self, file: str | Path) -> None:
         """Write the map, as an ``.npz`` file."""
@@ -246,18 +255,18 @@ def load_frames_map(file: str | Path) -> FrameMap:
 
 def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
     """Raise `ValueError` unless the arrays of a map are what `FrameMap.save` writes: their types, shapes and ranges."""
-    count, points = len(arrays["times"]), arrays["positions"].shape[1]
-    expected: dict[str, tuple[str, tuple[int | None, ...], float, float]] = {
+    count, points, links = len(arrays["times"]), arrays["positions"].shape[1], len(arrays["links"])
+    expected: dict[str, tuple[str, tuple[int, ...], float, float]] = {
         "times": ("f8", (count,), -1e9, 1e9),
         "parts": ("i8", (count,), 0, count),
-        "links": ("i8", (None, 2), 0, count - 1),
-        "costs": ("f8", (len(arrays["links"]),), 0, 1e9),
+        "links": ("i8", (links, 2), 0, count - 1),
+        "costs": ("f8", (links,), 0, 1e9),
         "places": ("f8", (count, 3), -1e9, 1e9),
         "lengths": ("i8", (count,), 1, 2**24),
         "pictures": ("u1", (int(arrays["lengths"].sum()),), 0, 255),
-        "looks": ("f2", (count, None), -6e4, 6e4),
+        "looks": ("f2", (count, arrays["looks"].shape[-1]), -6e4, 6e4),
         "positions": ("f2", (count, points, 2), -6e4, 6e4),
-        "vectors": ("i1", (count, points, None), -128, 127),
+        "vectors": ("i1", (count, points, arrays["vectors"].shape[-1]), -128, 127),
         "counts": ("i2", (count,), 0, points),
         "size": ("i8", (2,), 1, 2**14),
         "field_of_view": ("f8", (), 1, 360),
@@ -266,10 +275,8 @@ def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
         if name in ("costs", "places") and name not in arrays:
             continue
         array = arrays[name]
-        fits = len(array.shape) == len(shape) and all(
-            want in (None, got) for want, got in zip(shape, array.shape, strict=True)
-        )
-        if not fits or array.dtype != kind or (array.size and not low <= array.min() <= array.max() <= high):
+        within = not array.size or low <= array.min() <= array.max() <= high
+        if array.shape != shape or array.dtype != kind or not within:
             raise ValueError(f"{name}: {array.dtype} {list(array.shape)}")
 
 
