@@ -7,12 +7,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import islice
 from math import prod
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,8 +136,11 @@ class Recording:
         command = [sys.executable, "-S", "-P", "-c", code]
         with (
             tempfile.TemporaryDirectory() as folder,  # where a bag that is compressed as a whole is unpacked
-            _running(command, stderr=subprocess.DEVNULL, env={**environment(), "TMPDIR": folder}) as (process, answers),
+            subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env={**environment(), "TMPDIR": folder}
+            ) as process,
         ):
+            answers: Any = process.stdout
             while line := answers.readline():
                 answer = json.loads(line)
                 if isinstance(answer, str):
@@ -147,17 +149,6 @@ class Recording:
                 yield Frame(np.frombuffer(answers.read(prod(shape)), np.uint8).reshape(shape), time, place)
             if status := process.wait():
                 raise SceneError(f"{self.source}: {why_ended(status, seconds, 'its reader')}")
-
-
-@contextmanager
-def _running(command: list[str], **options: Any) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
-    """Run a program while its output is read; nobody waits for what is not read."""
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, **options) as process:
-        assert process.stdout is not None
-        try:
-            yield process, process.stdout
-        finally:
-            process.kill()
 
 
 def read_photo(file: str | Path) -> NDArray[np.uint8]:
@@ -222,11 +213,11 @@ def _video_frames(file: Path, every: float) -> Iterator[Frame]:
     with (
         tempfile.NamedTemporaryFile("wb") as log,
         open(log.name, errors="replace") as messages,
-        _running([*_arguments(file), *output], stderr=log) as (process, pictures),
+        subprocess.Popen([*_arguments(file), *output], stdout=subprocess.PIPE, stderr=log) as process,
     ):
         stamps: list[float] = []
         text, number = "", 0
-        while image := _read_ppm(pictures):
+        while image := _read_ppm(process.stdout):
             # A frame is told of before it is written, so that its line is there by now.
             text += messages.read()
             stamps += [float(stamp) for stamp in STAMP.findall(text)]
@@ -238,7 +229,7 @@ def _video_frames(file: Path, every: float) -> Iterator[Frame]:
             raise SceneError(f"{file}: is damaged after {number} frames ({wrong[0].strip()[:120]})")
 
 
-def _read_ppm(stream: IO[bytes]) -> Image.Image | None:
+def _read_ppm(stream: Any) -> Image.Image | None:
     """Return the next picture of ffmpeg; None at the end."""
     if stream.readline() != b"P6\n":
         return None
