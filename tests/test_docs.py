@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
@@ -17,11 +18,11 @@ from urllib.parse import unquote
 import pytest
 import torch
 from commands import ROOT, TINY
-from forks import empty_file, leave_empty
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from forks import empty_file
 
 from dirl.config.folders import VARIABLE
 from dirl.reporting import pictures, trajectories
+from dirl.training import job
 
 DOCS = ROOT / "docs"
 PAGES = [
@@ -40,6 +41,7 @@ SMALL = (
 QUICK = [option for option in TINY if not option.startswith("evaluation.max_steps")]
 QUICK = [option for option in QUICK if not option.startswith(("imitation.max_steps", "reinforcement.frames"))]
 QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
+QUICK += ["evaluation.starts=sampled", "evaluation.episodes_per_goal=4"]
 """Behind every training of a page, but for the options that it gives itself."""
 
 FEW = "goals=every:60 starts=sampled episodes_per_goal=1"
@@ -143,13 +145,19 @@ def run_command(words, monkeypatch):
         words += [option for option in QUICK if option.partition("=")[0] not in given]
         words += ["hydra.sweeper.n_trials=2"] if "hydra/sweeper" in given else []
     monkeypatch.setattr(sys, "argv", words[1:])
-    with monkeypatch.context() as patch:
-        if words[1].endswith("train.py"):  # its pictures are looked at in test_train.py
-            patch.setattr(FigureCanvasAgg, "draw", leave_empty)
-            patch.setattr(pictures, "draw_policy", empty_file)
-            patch.setattr(trajectories, "draw_trajectories", empty_file)
-            patch.setattr(pictures, "write_gif", empty_file)
+    with no_pictures(monkeypatch) if words[1].endswith("train.py") else nullcontext():
         runpy.run_path(str(ROOT / words[1]), run_name="__main__")
+
+
+@contextmanager
+def no_pictures(monkeypatch):
+    """Leave the pictures of trainings empty, which are looked at in test_train.py."""
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "draw_learning_curve", lambda folder, file: empty_file(file))
+        patch.setattr(pictures, "draw_policy", empty_file)
+        patch.setattr(trajectories, "draw_trajectories", empty_file)
+        patch.setattr(pictures, "write_gif", empty_file)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +220,8 @@ def run_block(block, page, names, monkeypatch):
     for old, new in SHORTER.get(page.name, {}).items():
         text = text.replace(old, new)
     if language == "python":
-        exec(compile(text, str(page), "exec"), names)
+        with no_pictures(monkeypatch):
+            exec(compile(text, str(page), "exec"), names)
     elif language == "bash":
         for words in shell_words(text):
             if words[:2] != ["pip", "install"]:

@@ -33,7 +33,8 @@ for recipe, given in (("train", options), ("evaluate", ["checkpoint=run", "out=r
 
 def test_every_module_is_imported_and_a_run_trained_and_evaluated_without_what_windows_lacks(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(LACKING)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    environment = {**os.environ, "PYTHONPATH": path}
 
     def python(*arguments):
         command = [sys.executable, "-c", *map(str, arguments)]

@@ -1,18 +1,20 @@
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import pytest
 import torch
 from networks import make_policy
 from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, only_goals, outcome, pair, run_episodes
+from rooms import grid_scene
 from torchrl.envs import TransformedEnv
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation import episodes as episodes_module
-from dirl.evaluation.episodes import every_start, sampled_starts, shortest_episodes
+from dirl.evaluation.episodes import drawn_looks, every_start, sampled_starts, shortest_episodes
 from dirl.evaluation.experts import RandomPolicy
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import PlanningMemory, initial_state, recurrent_keys
+from dirl.scenes import make_world
 
 KINDS = (SurroundingViews, SequentialViews)
 BOTH = pytest.mark.parametrize("kind", KINDS)
@@ -25,6 +27,15 @@ def test_sampled_starts_are_as_many_for_each_goal_and_uniform_among_those_that_r
     assert start[-6000:].bincount()[[36, 38, 39]].tolist() == pytest.approx([2000] * 3, abs=200)
     assert torch.equal(start, sampled_starts(world, 6000, seed=1)[1])
     assert not torch.equal(start, sampled_starts(world, 6000, seed=2)[1])
+
+
+def test_the_look_of_the_goal_is_not_that_of_a_visit():
+    world = make_world([grid_scene(looks=2)])
+    besides = torch.arange(300) % 3
+    state = torch.full((300,), 7)
+    drawn = drawn_looks(state, len(world), world, torch.Generator().manual_seed(0), besides)
+    assert (drawn % len(world) == 7).all()
+    assert {*zip((drawn // len(world)).tolist(), besides.tolist(), strict=True)} == {*permutations(range(3), 2)}
 
 
 @BOTH

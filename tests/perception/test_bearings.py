@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, toward
+from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, support, toward
 from dirl.perception.matching import POINTS, SCALE, Described
 
 PLACES = np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -40,6 +40,15 @@ class Points:
             found.vectors[view, : len(shown)] = np.rint(vectors[view // 8, shown] * SCALE).clip(-127, 127)
             found.counts[view] = len(shown)
         return found
+
+
+def test_a_match_agrees_where_both_see_it_on_the_same_side_and_the_second_farther_back():
+    def agrees(there):  # along the way, and turned by nothing
+        elevation = np.arctan(np.tan(0.2) * np.sin(there) / np.sin(0.5))  # so that both see the same height
+        matched = torch.tensor([[0.5, 0.2]]), torch.tensor([[there, elevation]], dtype=torch.float32)
+        return bool(support(*matched, torch.tensor([0]), 1)[0, 0, 0])
+
+    assert [agrees(there) for there in (1.0, 0.3, -3.0)] == [True, False, False]
 
 
 @pytest.fixture(scope="module")

@@ -51,4 +51,5 @@ def test_frames_where_one_is_unlikely_to_be_are_as_alike_as_frames_usually_are()
     seen, likely = columns[7:8], np.where(np.arange(100) < 60, 1.0, 0.1)
     found, compared = net.likeness(seen, columns, likely), net.likeness(seen, columns)
     assert found[:60:2] == pytest.approx(compared[:60:2])
+    assert found[1:60:2] == pytest.approx(found[:60:2])  # the frame behind one that is compared
     assert len(np.unique(found[60:])) == 1

@@ -17,6 +17,8 @@ def test_states_whose_actions_end_in_a_loop_never_arrive():
     assert np.flatnonzero(~lost).tolist() == [0, 1, 2, 3]  # the goal's place, where turning finds its heading
     lost = never_arrives(scene, 12, np.full(len(scene), AHEAD))
     assert np.flatnonzero(~lost).tolist() == [0, 12]
+    apart = grid_scene(3, 1, blocked=[(1, 0)])  # from the second place no policy could arrive
+    assert not never_arrives(apart, 0, np.full(len(apart), RIGHT)).any()
 
 
 def test_gif_has_a_frame_for_each_state_up_to_a_limit(tmp_path):

@@ -108,6 +108,9 @@ def test_a_summary_is_a_heading_and_tables_of_policies_and_goals():
     ]  # fmt: skip
     assert [(row[0], row[1]) for row in cells(by_goal)[1:]] == [("goal 26", "5.00"), ("goal 37", "6.00")]
     assert max(map(len, summary_table(SUMMARY).splitlines())) == 80  # a terminal's columns
+    apart = {"greedy": {**MEASURES, "episodes": 7}}
+    _, _, told, held_out, *_ = summary_table({**SUMMARY, "held_out": apart}).split("\n\n")
+    assert (told, [row[-1] for row in cells(held_out)[1:]]) == ("Goals held out of the training:", ["7"])
     scenes = {name: {**MEASURES, "goals": {"1": MEASURES}} for name in ("living_room_08", "bathroom_08")}
     *_, table = summary_table({**SUMMARY, "greedy": {**MEASURES, "scenes": scenes}}).split("\n\n")
     rows = [row[0] for row in cells(table)[1:]]  # each scene before its goals

@@ -20,7 +20,7 @@ from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
 from dirl.perception.recognition.recogniser import TemplateStop, matching
-from dirl.reporting import viewer_pages
+from dirl.reporting import viewer, viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import load_scenes, make_world, write_dump
 from dirl.scenes.views import encode
@@ -93,6 +93,15 @@ def test_a_page_holds_the_networks_exact_answers_the_views_and_the_room(tmp_path
     assert "default-src 'none'" in page  # it asks nothing of any other host
     assert set(re.findall(r"https?://[^\s\"']+", page)) == {"http://www.w3.org/2000/svg"}
     assert not re.search(r"\{\{\w+\}\}", page)
+
+
+def test_where_a_memory_would_walk_very_many_episodes_some_goals_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(viewer, "MOST_WALKS", 50)
+    room = small_room(tmp_path, "episodic_memory=planning")
+    (page,) = pages_of(room).values()
+    (goal,) = data_of(page)["goals"]  # of two
+    assert goal["state"] == 0
+    assert sum(walk is not None for walk in goal["walks"][0]) == len(room.world) - 1
 
 
 def test_several_scenes_get_a_page_each_which_name_each_other(tmp_path):

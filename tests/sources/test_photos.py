@@ -122,6 +122,8 @@ def test_further_shots_are_looks_if_each_is_a_visit_to_every_place(tmp_path):
     assert [image.name for image in images] == [
         f"{prefix}{image.name}" for prefix in ("", "1_", "2_") for image in first
     ]
+    turned = [line.replace(",hall,0,", ",hall,359.5,") if line[:2] == "1_" else line for line in shots(corridor(), 1)]
+    assert len(read_photos(folder_of(tmp_path, turned, f"{HEADER},shot"))[1]) == 16  # nearly the same heading
     with pytest.raises(SceneError, match="line 2: 'hall' has no image of shot 1 with heading 0; a shot is a visit to"):
         read_photos(folder_of(tmp_path, shots(corridor(), 1)[:-1], f"{HEADER},shot"))
 

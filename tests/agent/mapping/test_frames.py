@@ -114,6 +114,18 @@ def test_places_that_fit_alike_are_compared_closely(closer, monkeypatch):
     assert [{3, 13} <= set(some) for some in compared] == [True]
 
 
+def test_frames_beside_the_best_count_too_if_they_are_of_the_same_recording():
+    first, second = (
+        [(np.full((4, 4, 3), sign, np.uint8), float(time), None) for time, sign in enumerate(signs)]
+        for signs in ((0, 3, 6), (9, 3, 0))
+    )
+    bricks = Bricks(Motion(0, 0, 0))
+    graph = map_recordings([first, second], bricks, 65.0)
+    scores = graph.score(bricks, bricks.describe([first[2][0]]))
+    assert scores[2] > scores[1] > 0  # of the frame itself, and of the one before it
+    assert scores[[0, 3, 4, 5]].tolist() == [0] * 4  # with the other recording it has nothing in common
+
+
 @pytest.mark.parametrize(
     ("move", "linked"),
     [

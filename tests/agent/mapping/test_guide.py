@@ -10,7 +10,7 @@ from hall import look, walk
 import dirl
 from dirl.agent.mapping import MapError
 from dirl.agent.mapping.frames import map_recordings
-from dirl.agent.mapping.guide import PATIENCE
+from dirl.agent.mapping.guide import PATIENCE, spread
 from dirl.perception.matching import Described, Fit, Matcher, Motion
 
 pytest.importorskip("cv2")
@@ -130,6 +130,14 @@ def test_the_path_that_was_followed_leads_while_it_is_in_sight():
     assert guide.see(shown(5)).say == "ahead"
     guide.belief = np.eye(40)[26]  # as if one were in the other recording of the same place
     assert guide.see(shown(6)).say == "ahead"
+
+
+def test_from_a_frame_one_may_get_to_those_it_is_linked_to():
+    here = np.eye(40)
+    links, none = np.array([[5, 30]]), np.zeros((0, 2), np.int64)
+    for one, other in ((5, 30), (30, 5)):
+        assert spread(here[one], links)[other] > 100 * spread(here[one], none)[other] > 0
+        assert spread(here[one], links).sum() == pytest.approx(1)
 
 
 def test_who_gets_no_further_turns_as_the_recording_did_and_then_takes_another_path():
