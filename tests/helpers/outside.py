@@ -13,9 +13,10 @@ class Product(nn.Module):
     def __init__(self, num_features: int, width: int = 32, num_views: int = 4):
         super().__init__()
         self.layer = nn.Linear(num_views * num_features, width)
+        self.sharp = nn.Parameter(torch.tensor(1.0))
 
     def embed(self, observation):
-        return torch.tanh(self.layer(observation.flatten(-2)))
+        return torch.tanh(self.sharp * self.layer(observation.flatten(-2)))
 
     def fuse(self, embedding, goal_embedding):
         return torch.cat([embedding, embedding * goal_embedding], -1)

@@ -319,12 +319,12 @@ def clip_gradients(
         The norm of all together as it was before, float32 ``[]``, or ``[R]``.
     """
     gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-    norms = [gradient.flatten(int(stacked)).norm(dim=-1) for gradient in gradients]
+    norms = [gradient.reshape((*gradient.shape[: int(stacked)], -1)).norm(dim=-1) for gradient in gradients]
     norm = torch.stack(norms).norm(dim=0)
     whole = (max_norm / (norm + 1e-6)).clamp(max=1)
     for gradient, own in zip(gradients, norms, strict=True):
         scale = max_norm / own.clamp(min=max_norm) if per_variable else whole
-        gradient.mul_(scale.view(*scale.shape, *[1] * (gradient.ndim - scale.ndim)))
+        gradient.mul_(scale.view(scale.shape + (1,) * (gradient.ndim - scale.ndim)))
     return norm
 
 
