@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 import torch
 from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, train_config, wait_until
+from refusals import refused
 from rooms import grid_scene
 
+from dirl.config.files import config_text
 from dirl.experiments.efficiency import mean_stable_frames, training_curve
 from dirl.experiments.new_goals import new_goals
 from dirl.experiments.performance import halfway
-from dirl.experiments.results import Result
+from dirl.experiments.results import Result, finished_runs
 from dirl.reporting.statistics import bootstrap_interval, iqm, summarised
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import make_world, write_dump
@@ -109,6 +111,14 @@ def test_the_mean_over_goals_is_stable_from_the_row_after_the_last_that_is_too_l
     run = Result(tmp_path, train_config("system=dirl"), summary)
     assert training_curve(run)[0].tolist() == [20, 30, 40, 50, 60]  # from 100 episodes a goal on
     assert mean_stable_frames(run) == 50
+
+
+def test_runs_of_different_scenes_are_not_reported_together(tmp_path):
+    for scene in ("attic", "cellar"):
+        (tmp_path / scene).mkdir()
+        (tmp_path / scene / "config.yaml").write_text(config_text(train_config(f"scene={scene}")))
+        (tmp_path / scene / "summary.json").write_text(json.dumps({"scene": scene}))
+    refused("holds runs of different scenes, attic and cellar; report them apart$", finished_runs, tmp_path, "")
 
 
 def test_a_report_without_runs_says_how_to_make_them(tmp_path):
