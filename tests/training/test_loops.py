@@ -8,8 +8,9 @@ from commands import room_file, train_config
 from parts import Loop, make_parts, train_state
 from refusals import refused
 from rooms import grid_scene
-from train import imitate, learn, train
+from train import imitate, learn, reinforce, train
 
+from dirl.runs.checkpoints import training_checkpoints
 from dirl.runs.folder import Run
 from dirl.training.job import build_components, run_stages
 
@@ -54,6 +55,16 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
     assert (resumed.agents == state.agents).all()
     initial = first.policy.state_dict()
     assert not torch.equal(initial["encoder.embedding.weight"], state.policy.state_dict()["encoder.embedding.weight"])
+
+
+def test_the_end_of_a_training_is_saved_before_it_is_evaluated(tmp_path):
+    options = ["reinforcement.frames_per_scene=60", "evaluation.times=0", "checkpoint.every_seconds=1000"]
+    parts = make_parts(f"scene={room_file(tmp_path)}", *SMALL, *options)
+    run, state = Run(tmp_path / "run", parts.config), train_state(parts)
+    run.begin(parts.world, parts.observation.order)
+    told = reinforce(run, state, parts.protocol)
+    run.close()
+    assert [int(file.stem) for file in training_checkpoints(run.folder)] == [told["frames"]] == [60]
 
 
 def test_an_episode_is_near_the_shortest_path_by_the_mean_over_the_starts_of_its_goal(tmp_path):
