@@ -37,17 +37,14 @@ def demo():
 
 @pytest.fixture(scope="module")
 def site(demo, tmp_path_factory):
-    """The folder of the demo, whose tour has smaller pictures."""
+    """The folder of the demo."""
     if reason := demo.missing():
         pytest.skip(reason)
     folder = tmp_path_factory.mktemp("site") / "demo"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demo, "SIZE", (48, 64))
-        patch.setattr(demo, "PANORAMA", (128, 256))
-        try:
-            demo.build(folder, DOCS / "_cache" / "demo_small")
-        except RuntimeError as error:
-            pytest.skip(str(error))
+    try:
+        demo.build(folder, DOCS / "_cache" / "demo")
+    except RuntimeError as error:
+        pytest.skip(str(error))
     return folder
 
 
