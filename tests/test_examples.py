@@ -123,7 +123,15 @@ def test_messages_of_cameras_become_pixels(ros2):
 
 @pytest.mark.parametrize(
     "name",
-    ["find_withheld_frames", "measure_gpu", "measure_turns", "other_cameras", "phone_photos", "train_columns", "walk_miniworld"],
+    [
+        "find_withheld_frames",
+        "measure_gpu",
+        "measure_turns",
+        "other_cameras",
+        "phone_photos",
+        "train_columns",
+        "walk_miniworld",
+    ],
 )
 def test_an_example_tells_its_options(name, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [name, "--help"])
