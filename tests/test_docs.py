@@ -4,6 +4,7 @@ On a how-to page ```python and ```bash blocks are run, in order, in an empty fol
 cannot be run here is a {code-block} whose caption tells the reader why. A caption that is a file name makes the file.
 """
 
+import os
 import re
 import runpy
 import shlex
@@ -18,6 +19,7 @@ from urllib.parse import unquote
 import pytest
 import torch
 from commands import ROOT, TINY
+from filelock import FileLock
 from forks import empty_file
 
 from dirl.config.folders import VARIABLE
@@ -264,12 +266,16 @@ def test_pages_have_only_code_that_is_run_or_says_why_it_is_not():
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The built site; a warning fails."""
-    folder = tmp_path_factory.mktemp("site")
+    """The built site; a warning fails. One worker of pytest-xdist builds it for all."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "site"
     options = "-m sphinx -W --keep-going -q -t without_demo -b html"
     command = [sys.executable, *options.split(), str(DOCS), str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
-    assert done.returncode == 0, done.stderr
+    with FileLock(f"{folder}.lock"):
+        if not (folder / "built").exists():
+            done = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
+            assert done.returncode == 0, done.stderr
+            (folder / "built").touch()
     return folder
 
 
