@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dirl.perception.matching import Described, Matcher, mutual
+from dirl.perception.matching import Described, Matcher, angles, mutual
 
 SIZE, FIELD_OF_VIEW = 384, 75.0
 """Pixels a side and degrees of the views whose points are matched."""
@@ -51,8 +51,8 @@ leave no doubt."""
 def directions(positions: NDArray[np.float32], yaw: float) -> Tensor:
     """Return azimuth and elevation of pixels ``[P, 2]`` of a level view at ``yaw`` degrees, radians, ``[P, 2]``."""
     focal = SIZE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
-    right, up = ((torch.from_numpy(positions) - SIZE / 2) / focal * torch.tensor([1.0, -1.0])).T
-    return torch.stack([right.atan() + np.radians(yaw), torch.atan2(up, (1 + right**2).sqrt())], 1)
+    aside = (torch.from_numpy(positions) - SIZE / 2) / focal * torch.tensor([1.0, -1.0])
+    return angles(aside) + torch.tensor([np.radians(yaw), 0.0], dtype=torch.float32)
 
 
 def support(here: Tensor, there: Tensor, view: Tensor, views: int) -> Tensor:

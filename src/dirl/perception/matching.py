@@ -362,6 +362,15 @@ def mutual(alike: Tensor, least: float) -> tuple[Tensor, Tensor]:
     return first, partner[first]
 
 
+def angles(aside: Tensor) -> Tensor:
+    """Return azimuth and elevation of points of a level view, radians, ``[P, 2]``.
+
+    ``aside`` is where they are to the right of and above its middle, in focal lengths, ``[P, 2]``.
+    """
+    right, up = aside.T
+    return torch.stack([right.atan(), torch.atan2(up, (1 + right**2).sqrt())], 1)
+
+
 @cache
 def xfeat() -> PointFinder:
     """Return XFeat as what finds points; `ImportError` where it is not installed."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from dirl.perception.matching import mutual, xfeat
+from dirl.perception.matching import angles, mutual, xfeat
 
 VIEW, FIELD_OF_VIEW = 320, 75.0
 """Pixels that a view is made wide, and its horizontal field of view, degrees."""
@@ -81,10 +81,10 @@ class PhotoPoints:
         if not len(first):
             return 0.0, 0.0
         clearest = alike[first, second].topk(min(MATCHES, len(first))).indices
-        seen = _angles(there[second[clearest]], 0.5 / np.tan(np.radians(FIELD_OF_VIEW / 2)))
+        seen = angles(there[second[clearest]] / (0.5 / np.tan(np.radians(FIELD_OF_VIEW / 2))))
         best = 0.0, 0.0
         for focal in FOCAL:
-            turned = seen - _angles(self.places[first[clearest]], focal)
+            turned = seen - angles(self.places[first[clearest]] / focal)
             together = torch.cdist(turned, turned, p=torch.inf) < TOLERANCE
             count, middle = together.sum(1).max(0)
             if count > best[0]:
@@ -98,12 +98,6 @@ def _points(picture: NDArray[np.uint8], unit: float) -> tuple[Tensor, Tensor]:
     height, width = picture.shape[:2]
     aside = torch.from_numpy(positions - np.array([width, height], np.float32) / 2) / unit
     return aside * torch.tensor([1.0, -1.0]), torch.from_numpy(vectors)
-
-
-def _angles(places: Tensor, focal: float) -> Tensor:
-    """Return azimuth and elevation of places on a picture, radians, ``[P, 2]`` each."""
-    right, up = (places / focal).T
-    return torch.stack([right.atan(), torch.atan2(up, (1 + right**2).sqrt())], 1)
 
 
 def _resized(picture: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
