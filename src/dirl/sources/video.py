@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dirl.scenes.io.files import FREELY_UNPACKED, MOST_RATIO
-from dirl.scenes.io.read import SECONDS, SECONDS_A_MEGABYTE, environment, limit, why_ended
+from dirl.scenes.io.read import SECONDS, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
 
@@ -40,8 +39,9 @@ FORMATS = "mov,matroska,avi,mpeg,mpegts,asf,flv,ogg"
 
 BAGS = (".bag", ".mcap", ".db3")
 
-BAG_MEMORY = 2 * 2**30
-"""Bytes of address space of the process that reads a bag: a chunk of a megabyte may unpack to many gigabytes."""
+MEMORY, SECONDS_A_MEGABYTE = 2 * 2**30, 20.0
+"""Bytes of address space of the process that reads a video or bag: a chunk of a megabyte may unpack to many gigabytes;
+and its processor time: a megabyte may hold a minute of a video in which little moves."""
 
 ENCODINGS = {
     "rgb8": ("RGB", "RGB"),
@@ -51,10 +51,6 @@ ENCODINGS = {
     "mono8": ("L", "L"),
 }
 """For raw images of a bag: Pillow's mode, and how the bytes lie."""
-
-STAMP = re.compile(r"\] n: *\d+ pts:.*? pts_time:([-\d.]+)")
-
-MATTERS = re.compile(r"\[(?:error|fatal|panic)\] *(.*)")
 
 
 class Frame(NamedTuple):
@@ -96,22 +92,16 @@ class Recording:
         if self.source.is_dir() and not (self.source / "metadata.yaml").is_file():
             self._list_images()
             self.count = len(self.files)
-        elif not self.source.is_dir() and not self.source.is_file():  # ffmpeg would wait for a pipe
+        elif not self.source.is_dir() and not self.source.is_file():  # who reads a pipe waits for its end
             raise SceneError(f"{self.source}: there is no such video, folder of images or bag")
         else:
-            duration = next(self._read_bag()).time if self.is_bag else _video_duration(self.source)
-            self.count = int(duration / self.every) + 1
+            self.count = int(next(self._read_apart()).time / self.every) + 1
             """Frames that will be kept, about."""
-
-    @property
-    def is_bag(self) -> bool:
-        """True for a bag of ROS 1 or 2."""
-        return self.source.is_dir() or self.source.suffix in BAGS
 
     def __iter__(self) -> Iterator[Frame]:
         if self.files:
             return (Frame(read_photo(file), number * self.every) for number, file in enumerate(self.files))
-        return islice(self._read_bag(), 1, None) if self.is_bag else _video_frames(self.source, self.every)
+        return islice(self._read_apart(), 1, None)
 
     def _list_images(self) -> None:
         names = [file for file in self.source.iterdir() if file.is_file() and not file.name.startswith(".")]
@@ -126,13 +116,13 @@ class Recording:
             raise SceneError(f"{self.source}: holds no images ({', '.join(SUFFIXES)})")
         self.field_of_view = photo_field_of_view(self.files[0])
 
-    def _read_bag(self) -> Iterator[Frame]:
-        """Yield what `write_bag_frames` writes in a process of its own: the end, without pixels, then the frames."""
+    def _read_apart(self) -> Iterator[Frame]:
+        """Yield what `write_frames` writes in a process of its own: the end, without pixels, then the frames."""
         files = self.source.iterdir() if self.source.is_dir() else [self.source]
         size = sum(file.stat().st_size for file in files)
         seconds = SECONDS + SECONDS_A_MEGABYTE * size / 1e6
         request = {**asdict(self), "source": str(self.source.absolute())}
-        code = f"from dirl.sources.video import write_bag_frames; write_bag_frames({size}, {seconds}, **{request})"
+        code = f"from dirl.sources.video import write_frames; write_frames({size}, {seconds}, **{request})"
         command = [sys.executable, "-S", "-P", "-c", code]
         with (
             tempfile.TemporaryDirectory() as folder,  # where a bag that is compressed as a whole is unpacked
@@ -180,86 +170,61 @@ def _small(source: str | Path, image: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(image.convert("RGB").resize(size, Image.Resampling.BOX))
 
 
-def _arguments(file: Path) -> list[str]:
-    """Return the command of ffmpeg with a video as input, which may open that file alone."""
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise SceneError(f"{file}: a video needs a package that is not installed: pip install 'dirl[video]'") from None
-    quiet = ["-hide_banner", "-nostdin", "-loglevel", "level+info"]
-    only = ["-protocol_whitelist", "file", "-format_whitelist", FORMATS]
-    return [str(imageio_ffmpeg.get_ffmpeg_exe()), *quiet, *only, "-i", f"file:{file.absolute()}"]
+def write_frames(size: int, seconds: float, source: str, every: float, topic: str | None, odometry: str | None) -> None:
+    """Write what is in a video or bag of so many bytes to the standard output; runs in a process of its own.
 
-
-def _video_duration(file: Path) -> float:
-    """Return the seconds that a video says it takes."""
-    log = subprocess.run(_arguments(file), capture_output=True, check=False).stderr.decode(errors="replace")
-    duration = re.search(r"Duration: (\d+):(\d+):([\d.]+)", log)
-    if "Video:" not in log:
-        reason = next((line for line in MATTERS.findall(log) if "output file" not in line), "no video in it")
-        raise SceneError(f"{file}: is no video that is read ({reason.strip()[:120]})")
-    if duration is None:
-        return 0.0
-    hours, minutes, seconds = (float(part) for part in duration.groups())
-    return 3600 * hours + 60 * minutes + seconds
-
-
-def _video_frames(file: Path, every: float) -> Iterator[Frame]:
-    """Yield frames by their time stamps: the first one, and each that is ``every`` seconds or more after the last."""
-    chosen = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t\\,{0.999 * every:.6f})'"
-    scaled = f"scale='if(gt(iw,ih),min({SIDE},iw),-2)':'if(gt(iw,ih),-2,min({SIDE},ih))':flags=area"
-    output = ["-map", "0:v:0", "-vf", f"{chosen},{scaled},showinfo", "-fps_mode", "passthrough"]
-    output += ["-f", "image2pipe", "-c:v", "ppm", "pipe:1"]
-    with (
-        tempfile.NamedTemporaryFile("wb") as log,
-        open(log.name, errors="replace") as messages,
-        subprocess.Popen([*_arguments(file), *output], stdout=subprocess.PIPE, stderr=log) as process,
-    ):
-        stamps: list[float] = []
-        text, number = "", 0
-        while image := _read_ppm(process.stdout):
-            # A frame is told of before it is written, so that its line is there by now.
-            text += messages.read()
-            stamps += [float(stamp) for stamp in STAMP.findall(text)]
-            text = STAMP.sub("", text)
-            yield Frame(np.asarray(image), stamps[number] - stamps[0])
-            number += 1
-        process.wait()
-        if wrong := MATTERS.findall(text + messages.read()):
-            raise SceneError(f"{file}: is damaged after {number} frames ({wrong[0].strip()[:120]})")
-
-
-def _read_ppm(stream: Any) -> Image.Image | None:
-    """Return the next picture of ffmpeg; None at the end."""
-    if stream.readline() != b"P6\n":
-        return None
-    width, height = map(int, stream.readline().split())
-    stream.readline()
-    data = stream.read(3 * width * height)
-    return Image.frombytes("RGB", (width, height), data) if len(data) == 3 * width * height else None
-
-
-def write_bag_frames(
-    size: int, seconds: float, source: str, every: float, topic: str | None, odometry: str | None
-) -> None:
-    """Write what is in a bag of so many bytes to the standard output; runs in a process of its own.
-
-    It is a line of JSON for each frame, with its pixels after it; a text is an error.
+    It is a line of JSON for each frame, with its pixels after it; a text is an error. A damaged file may make libraries
+    crash or hang, and a chunk of a megabyte may unpack to many gigabytes.
     """
-    limit("RLIMIT_AS", BAG_MEMORY)
+    limit("RLIMIT_AS", MEMORY)
     limit("RLIMIT_FSIZE", max(FREELY_UNPACKED, MOST_RATIO * size))
     limit("RLIMIT_CPU", seconds)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what the readers of bags print
+    file = Path(source)
+    is_bag = file.is_dir() or file.suffix in BAGS
     try:
-        for image, time, place in _bag_frames(Path(source), every, topic, odometry):
+        for image, time, place in _bag_frames(file, every, topic, odometry) if is_bag else _video_frames(file, every):
             answers.write(json.dumps([time, place, image.shape]).encode() + b"\n" + image.tobytes())
     except SceneError as error:
         answers.write(json.dumps(str(error)).encode() + b"\n")
-    except Exception as error:  # each storage plugin raises its own
-        reason = " ".join(str(error).split())[:120]
-        answers.write(json.dumps(f"is no bag that can be read ({type(error).__name__}: {reason})").encode() + b"\n")
+    except Exception as error:  # each library raises its own
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())[:120]
+        kind = "bag" if is_bag else "video"
+        answers.write(json.dumps(f"is no {kind} that is read ({type(error).__name__}: {reason})").encode() + b"\n")
     answers.flush()
+
+
+def _video_frames(source: Path, every: float) -> Iterator[Frame]:
+    """Yield the end of a video, without pixels, and then frames by their time stamps.
+
+    These are the first one, and each that is ``every`` seconds or more after the last.
+    """
+    try:
+        import av
+    except ImportError:
+        raise SceneError("a video needs a package that is not installed: pip install 'dirl[video]'") from None
+    av.logging.set_level(av.logging.ERROR)
+    only = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
+    # FFmpeg says where a video is damaged, and goes on.
+    with av.logging.Capture(local=False) as damages, av.open(f"file:{source}", options=only) as container:
+        if not container.streams.video:
+            raise SceneError("is no video that is read (it has no pictures)")
+        yield Frame(np.zeros((0, 0, 3), np.uint8), (container.duration or 0) / av.time_base)
+        stream = container.streams.video[0]
+        stream.thread_type, stream.thread_count = "AUTO", 4
+        start, last, kept = None, -np.inf, 0
+        try:
+            for frame in container.decode(stream):
+                start = frame.time if start is None else start
+                time = frame.time - start
+                if time - last >= 0.999 * every:
+                    last, kept = time, kept + 1
+                    yield Frame(np.rot90(_small("a frame", frame.to_image()), frame.rotation // 90), time)
+        except av.FFmpegError as error:
+            damages.append((av.logging.ERROR, "", str(error.strerror)))
+        if damages:
+            raise SceneError(f"is damaged after {kept} frames ({damages[0][2].strip()[:120]})")
 
 
 def _bag_frames(source: Path, every: float, topic: str | None, odometry_topic: str | None) -> Iterator[Frame]:
