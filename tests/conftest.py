@@ -9,7 +9,8 @@ from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"  # here and in every program that a test starts: they are small, and side by side
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="dirl-tests-")  # of features that are encoded when needed
+if "PYTEST_XDIST_WORKER" not in os.environ:  # workers share it: what one of them has encoded the others read
+    os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="dirl-tests-")
 
 import pytest
 from forks import reading_in_process

@@ -70,6 +70,7 @@ def changed(line, old, new):
         (changed(0, "hall_0.png", "../secret.png"), "line 2: image: '.*' lies outside of "),
         (changed(2, ",180,", ",170,"), "line 3: location 'hall': from heading 90 to the next, 170, are 80 degrees; 4"),
         (changed(1, ",door", ",dor"), "line 3: ahead: there is no location 'dor'; did you mean 'door'"),
+        (["a.png,hall,0,0,0,"] * 361, "line 2: location 'hall' has 361 headings; at most 360"),
         (corridor()[:7], "line 6: location 'door' has 3 headings; expected the same mult"),
         (corridor()[:4] + corridor(offset=30)[4:], "line 3: ahead: 'door' has no image with heading 90; a move keeps"),
         (
