@@ -32,7 +32,8 @@ SLOW = ("agent/test_navigator_encoders.py", "envs/test_start_method.py", "percep
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark the quick tests."""
+    """Mark the quick tests; begin with those of a site, so that the worker that builds it does them all."""
+    items.sort(key=lambda item: "site" not in item.fixturenames)
     for item in items:
         inside = item.path.relative_to(Path(__file__).parent).as_posix()
         if (inside.startswith(QUICK) and inside not in SLOW) or inside == "test_layout.py":

@@ -37,14 +37,17 @@ def demo():
 
 @pytest.fixture(scope="module")
 def site(demo, tmp_path_factory):
-    """The folder of the demo."""
+    """The folder of the demo, whose tour is of two small rooms."""
     if reason := demo.missing():
         pytest.skip(reason)
     folder = tmp_path_factory.mktemp("site") / "demo"
-    try:
-        demo.build(folder, DOCS / "_cache" / "demo")
-    except RuntimeError as error:
-        pytest.skip(str(error))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo, "TOUR", (("bathroom", "bathroom"), 3))
+        patch.setattr(demo, "PANORAMA", (128, 256))
+        try:
+            demo.build(folder, DOCS / "_cache" / "demo_of_two_rooms")
+        except RuntimeError as error:
+            pytest.skip(str(error))
     return folder
 
 
