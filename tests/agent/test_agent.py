@@ -10,8 +10,7 @@ from rooms import grid_scene
 from dirl.agent.agent import Planning, Remembering, arrow_costs, likeness
 from dirl.agent.cameras import compare
 from dirl.envs import SurroundingViews
-from dirl.evaluation.episodes import EvaluationProtocol, every_start
-from dirl.evaluation.experts import RandomPolicy
+from dirl.evaluation.episodes import EvaluationProtocol, RandomPolicy, every_start
 from dirl.evaluation.protocol import metrics
 from dirl.models import PlanningMemory
 from dirl.perception.recognition.recogniser import NCC

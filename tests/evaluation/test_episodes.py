@@ -10,8 +10,7 @@ from torchrl.envs import TransformedEnv
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation import episodes as episodes_module
-from dirl.evaluation.episodes import drawn_looks, every_start, sampled_starts, shortest_episodes
-from dirl.evaluation.experts import RandomPolicy
+from dirl.evaluation.episodes import RandomPolicy, drawn_looks, every_start, sampled_starts, shortest_episodes
 from dirl.evaluation.protocol import EvaluationProtocol, metrics
 from dirl.models import PlanningMemory, initial_state, recurrent_keys
 from dirl.scenes import make_world

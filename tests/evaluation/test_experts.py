@@ -3,8 +3,8 @@ import torch
 from tensordict import TensorDict
 
 from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import RandomPolicy
 from dirl.evaluation.experts import (
-    RandomPolicy,
     ShortestPathExpert,
     ShortestPathPolicy,
     demonstrations,

@@ -46,7 +46,7 @@ COMPONENTS = (
 )  # fmt: skip
 TARGETS = (
     "os.system", "nope.Nope", "torch.nn.Linear", "dirl.models.SiameseEncoder", "torch.optim.SGD", "dirl.models.nope",
-    "dirl.evaluation.experts.RandomPolicy", "a..b", ".", "builtins.eval", "5",
+    "dirl.evaluation.episodes.RandomPolicy", "a..b", ".", "builtins.eval", "5",
 )  # fmt: skip
 
 

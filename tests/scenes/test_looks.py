@@ -9,8 +9,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
-from dirl.evaluation.episodes import every_start
-from dirl.evaluation.experts import RandomPolicy
+from dirl.evaluation.episodes import RandomPolicy, every_start
 from dirl.scenes import SceneError, make_world
 
 

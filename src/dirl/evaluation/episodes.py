@@ -3,9 +3,11 @@
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from tqdm import tqdm
 
@@ -13,7 +15,6 @@ from dirl.agent.agent import MANY, Memory, make_agent
 from dirl.agent.decisions import AgentBatch, WorldTables, deciding
 from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
-from dirl.evaluation.experts import RandomPolicy
 from dirl.models import caching
 from dirl.perception.recognition.recogniser import NCC, StopRule, VisitScores
 from dirl.scenes import ACTIONS
@@ -51,6 +52,18 @@ class Episodes:
     def select(self, chosen: Tensor) -> "Episodes":
         """Return some of the episodes, by mask or index."""
         return Episodes(*(value[chosen] for value in vars(self).values()))
+
+
+class RandomPolicy(TensorDictModuleBase):
+    """Each action with the same probability, whatever is observed: writes ``logits``, float32 ``[B, 4]``."""
+
+    in_keys: ClassVar = ["state"]
+    out_keys: ClassVar = ["logits"]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``logits``."""
+        state = tensordict["state"]
+        return tensordict.set("logits", torch.zeros((*state.shape, len(ACTIONS)), device=state.device))
 
 
 def every_start(world: World) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Experts, the demonstrations taken from them, and policies that learn nothing (paper sections 3.3 and 4.2)."""
+"""Experts, and the demonstrations taken from them (paper section 3.3)."""
 
 from typing import ClassVar
 
@@ -59,18 +59,6 @@ class ShortestPathPolicy(ShortestPathExpert):
         action = super().forward(tensordict)["expert_action"].unsqueeze(-1)
         chosen = torch.arange(len(ACTIONS), device=action.device) == action
         return tensordict.set("logits", torch.where(chosen | (action < 0), 0.0, -torch.inf))
-
-
-class RandomPolicy(TensorDictModuleBase):
-    """Each action with the same probability, whatever is observed: writes ``logits``, float32 ``[B, 4]``."""
-
-    in_keys: ClassVar = ["state"]
-    out_keys: ClassVar = ["logits"]
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``logits``."""
-        state = tensordict["state"]
-        return tensordict.set("logits", torch.zeros((*state.shape, len(ACTIONS)), device=state.device))
 
 
 def shown_states(world: World, fraction: float, rule: str, seed: int) -> Tensor:

@@ -10,9 +10,8 @@ import torch
 from torch import nn
 
 from dirl.config.components import tried
-from dirl.evaluation.episodes import Episodes, Metric, shortest_episodes
+from dirl.evaluation.episodes import Episodes, Metric, RandomPolicy, shortest_episodes
 from dirl.evaluation.episodes import EvaluationProtocol as EvaluationProtocol
-from dirl.evaluation.experts import RandomPolicy
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.scenes.world import World
 

@@ -23,7 +23,7 @@ MEASURES = {
 def is_reinforced(config: TrainConfig) -> bool:
     """Return True if a system is trained by reinforcement learning, and so has a half-way."""
     learns = config.policy["_target_"] not in (
-        "dirl.evaluation.experts.RandomPolicy",
+        "dirl.evaluation.episodes.RandomPolicy",
         "dirl.evaluation.experts.ShortestPathPolicy",
     )
     return learns and bool(set(config.losses) - {"imitation"})
