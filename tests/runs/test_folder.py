@@ -51,6 +51,13 @@ def saved_run(folder, *frames):
     return training_checkpoints(folder)
 
 
+def test_runs_that_are_saved_together_are_saved_more_rarely(tmp_path):
+    run = Run(tmp_path, train_config("checkpoint.every_seconds=30"), None)
+    run._last_save -= 61
+    assert run.save_due(2)
+    assert not run.save_due(3)
+
+
 def test_a_resumed_run_keeps_its_columns_and_forgets_rows_younger_than_its_checkpoint(tmp_path):
     run = begun(tmp_path)
     run.write("evaluation", 1, {"frames": 1, "atl": math.nan, "old": 3})

@@ -4,7 +4,9 @@ Files are those of runs, choices of a group of ``conf/``, and components of the 
 configuration completely. All are read without running or resolving anything in them.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +47,13 @@ def typed(config: DictConfig) -> Any:
     return options
 
 
-def plain(config: object) -> dict[str, Any]:
+def plain(config: Any) -> dict[str, Any]:
     """Return a typed configuration as nested values, without ``out``, ``resume`` and ``trust`` of its start."""
-    values: Any = OmegaConf.to_container(OmegaConf.structured(config), resolve=True, enum_to_str=True)
-    return {**values, "out": None, "resume": None, "trust": None}
+
+    def by_name(items: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+        return {name: value.name if isinstance(value, Enum) else value for name, value in items}
+
+    return {**asdict(config, dict_factory=by_name), "out": None, "resume": None, "trust": None}
 
 
 def leaves(config: Any, prefix: str = "") -> dict[str, Any]:

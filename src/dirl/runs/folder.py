@@ -153,9 +153,9 @@ class Run:
         if self.logger is not None:
             self.logger.log(stage, step, row)
 
-    def save_due(self) -> bool:
-        """Return True if it is time for the next checkpoint."""
-        return time.perf_counter() - self._last_save >= self.config.checkpoint.every_seconds
+    def save_due(self, runs: int = 1) -> bool:
+        """Return True if it is time for the next checkpoint; the more runs are saved together, the longer it takes."""
+        return time.perf_counter() - self._last_save >= runs * self.config.checkpoint.every_seconds
 
     def save(self, state: State) -> None:
         """Write a checkpoint of the training, and delete old ones.

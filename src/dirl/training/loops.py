@@ -210,7 +210,8 @@ class ImitationSteps:
                 row = {"step": member.step, "loss": member.loss, "accuracy": member.accuracy}
                 member.run.write("imitation", member.step, row)
         self.bar.update()
-        if not self.members[0].first and (any(own.run.save_due() for own in self.members) or self.signals):
+        saves = any(own.run.save_due(len(self.members)) for own in self.members)
+        if not self.members[0].first and (saves or self.signals):
             for member in self.members:
                 member.run.save(member.state_dict())
 
@@ -295,7 +296,7 @@ class Updates:
         evaluates = due(before, self.frames, self.total, config.evaluation.times)
         self._read(1 if arrived is not None and not evaluates and not self.done else 0)
         # The end of many runs comes right after: their checkpoints would take longer than what they save.
-        saves = (self.done and len(self.runs) == 1) or any(run.save_due() for run in self.runs)
+        saves = (self.done and len(self.runs) == 1) or any(run.save_due(len(self.runs)) for run in self.runs)
         if evaluates or saves:
             self._read()
             with paused or nullcontext():
