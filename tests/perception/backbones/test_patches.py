@@ -27,3 +27,11 @@ def test_a_projection_has_unit_variance_but_for_what_hardly_varies():
     torch.testing.assert_close(deviations[:3], torch.ones(3), rtol=0.02, atol=0)
     assert deviations[3] < 0.06  # 0.01 / (0.05 * 4)
     assert principal_components(turned, 2, floor=0.05)[1].shape == (4, 2)
+
+
+def test_components_of_few_vectors_are_those_of_the_same_vectors_several_times():
+    few = torch.randn(6, 9, generator=torch.Generator().manual_seed(0))
+    (mean, axes), (same, again) = (principal_components(vectors, 9) for vectors in (few, few.repeat(3, 1)))
+    assert axes.shape == (9, 5)  # of six vectors about their mean
+    torch.testing.assert_close(same, mean)
+    torch.testing.assert_close(again, axes * (17 / 15) ** 0.5)  # variances are sums divided by N - 1

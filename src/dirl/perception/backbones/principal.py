@@ -18,11 +18,15 @@ def principal_components(vectors: Tensor, count: int, floor: float = 0.0) -> tup
     """
     vectors = vectors.double()
     mean = vectors.mean(0)
-    values, axes = torch.linalg.eigh(torch.cov(vectors.T))
-    values, axes = values.flip(0).clamp(min=0), axes.flip(1)
+    if len(vectors) < vectors.shape[1]:  # of 180 vectors of 2048 numbers a fiftieth of the time
+        _, singular, rows = torch.linalg.svd(vectors - mean, full_matrices=False)
+        values, axes = singular.square() / (len(vectors) - 1), rows.T
+    else:
+        values, axes = torch.linalg.eigh(torch.cov(vectors.T))
+        values, axes = values.flip(0).clamp(min=0), axes.flip(1)
     kept = min(count, int((values > 1e-12 * values[0]).sum()))
     axes = axes[:, :kept]
-    axes = axes * axes.gather(0, axes.abs().argmax(0, keepdim=True)).sign()  # eigh leaves the signs open
+    axes = axes * axes.gather(0, axes.abs().argmax(0, keepdim=True)).sign()  # which are left open
     deviations = values[:kept].sqrt()
     axes = axes / deviations.clamp(min=floor * deviations[0])
     return mean.float(), axes.float()
