@@ -15,7 +15,6 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # workers share it: what one of the
 import pytest
 from forks import reading_in_process
 from hypothesis import settings
-from rooms import grid_scene, published_dump
 
 gc.disable()  # until the tests are collected: a million objects are made that stay
 
@@ -64,12 +63,16 @@ def reading(request):
 @pytest.fixture
 def scene():
     """Six places in two rows of three, 24 states, goal 0."""
+    from rooms import grid_scene  # late: the process that deals out the tests need not import torch
+
     return grid_scene()
 
 
 @pytest.fixture
 def dump(tmp_path, scene):
     """The room of `scene` as a file in the published layout."""
+    from rooms import published_dump
+
     return published_dump(tmp_path / "room.h5", scene)
 
 

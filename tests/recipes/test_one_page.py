@@ -79,7 +79,7 @@ def test_the_losses_of_an_update_are_the_packages(parts, room):
 
 
 def test_it_learns_what_the_package_learns(tmp_path):
-    frames, options = 32_000, ["scene=bathroom_02", "seed=0", "evaluation.times=0"]
+    frames, options = 24_000, ["scene=bathroom_02", "seed=0", "evaluation.times=0"]
     package = make_parts(*options, f"reinforcement.frames_per_scene={frames}")
     train_in(tmp_path / "run", package)
     expected = metrics(package.protocol.run(package.policy))

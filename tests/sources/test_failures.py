@@ -48,7 +48,7 @@ DUMP = ["simulator", "simulator=doom.yaml", "step=2", "places=6"]
 
 TRAINING = "scene=doom.h5 goals=every:8 env=live env.simulator=doom.yaml env.views=2000 network.components=8"
 TRAINING += " encoder.width=8 heads.width=8 imitation.max_steps=4 reinforcement.agents_per_scene=2"
-TRAINING += " reinforcement.frames_per_scene=40 evaluation.times=0 evaluation.live_episodes=1 evaluation.max_steps=2"
+TRAINING += " reinforcement.frames_per_scene=20 evaluation.times=0 evaluation.live_episodes=1 evaluation.max_steps=2"
 TRAINING += " checkpoint.every_seconds=0 env.turn_error=5"  # so that every view is a new one
 
 
@@ -89,7 +89,7 @@ def test_a_doom_that_is_killed_ends_each_run_in_one_line(doom, tmp_path):
     doom(last=0)
     status, printed, errors = run_recipe(tmp_path, "train", "resume=run", "trust=[mortal]")
     assert status == 0, errors
-    assert "40 frames" in printed
+    assert "20 frames" in printed
     assert (tmp_path / "doom.h5").read_bytes() == dump
 
 
