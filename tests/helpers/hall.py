@@ -1,6 +1,6 @@
 """A hall with painted walls, and what a camera sees in it: recordings for tests."""
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ LENGTH, WIDTH, TALL = 24.0, 5.0, 2.6
 PER_METRE = 40
 
 
-@lru_cache
+@cache
 def walls(seed):
     """Six textures, uint8 [6, 1040, 1040, 3], of blots of all sizes; a seed is a hall."""
     generator = torch.Generator().manual_seed(seed)
@@ -23,6 +23,7 @@ def walls(seed):
     return (255 * (total / 4)).permute(0, 2, 3, 1).byte().numpy()
 
 
+@cache
 def look(x, z, heading, seed=0, size=(180, 320), fov=65.0):
     """What is seen at x along the hall and z across it, uint8 [*size, 3]; headings to the left, degrees, 0 along x."""
     height, width = size
