@@ -66,12 +66,12 @@ def test_photos_are_upright_and_tell_their_field_of_view(tmp_path):
     assert photo_field_of_view(file) is None
 
 
-def make_video(file, times):
+def make_video(file, times, codec="mpeg4", pixels="yuv420p"):
     """A video of pictures that grow lighter, at times in seconds."""
     av = pytest.importorskip("av")
     with av.open(str(file), "w") as container:
-        stream = container.add_stream("mpeg4", rate=30)
-        stream.width, stream.height, stream.bit_rate = WIDE, HIGH, 1_000_000
+        stream = container.add_stream(codec, rate=30)
+        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = WIDE, HIGH, pixels, 1_000_000
         stream.codec_context.time_base = Fraction(1, 1000)
         for number, time in enumerate(times):
             frame = av.VideoFrame.from_ndarray(picture(10 * number), format="rgb24")
@@ -110,6 +110,11 @@ def test_a_video_of_a_camera_held_upright_is_turned(tmp_path):
     (turned, _), mark = list(Recording(file)), picture(0)[10:30, 10:20]
     assert turned.image.shape == (WIDE, HIGH, 3)
     assert abs(turned.image[10:20, HIGH - 30 : HIGH - 10].astype(int) - mark.max()).mean() < 30
+
+
+def test_a_video_of_ten_bits_a_channel_is_read(tmp_path):
+    file = make_video(tmp_path / "walk.mkv", [0, 1, 2], "ffv1", "yuv420p10le")
+    assert abs(np.array(shades(Recording(file))) - [0, 10, 20]).max() <= 2
 
 
 def test_texts_and_lists_of_other_files_are_no_videos(tmp_path):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import ExifTags, Image
 
 from dirl.scenes.io.files import FREELY_UNPACKED, MOST_RATIO
 from dirl.scenes.io.read import SECONDS, environment, limit, why_ended
@@ -154,11 +154,11 @@ def photo_field_of_view(file: str | Path) -> float | None:
     """Return degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none."""
     try:
         image = open_photo(file, load=False)
-        focal = float(image.getexif().get_ifd(0x8769).get(0xA405) or 0)
+        focal = float(image.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm) or 0)
     except Exception:  # Pillow raises many kinds for damaged EXIF
         return None
     upright = image.height > image.width
-    across = image.getexif().get(0x0112, 1) in (5, 6, 7, 8)  # turned when shown
+    across = image.getexif().get(ExifTags.Base.Orientation, 1) in (5, 6, 7, 8)  # turned when shown
     return float(2 * np.degrees(np.arctan((12 if upright != across else 18) / focal))) if focal > 0 else None
 
 
@@ -208,10 +208,10 @@ def _video_frames(source: Path, every: float) -> Iterator[Frame]:
     only = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
     # FFmpeg says where a video is damaged, and goes on.
     with av.logging.Capture(local=False) as damages, av.open(f"file:{source}", options=only) as container:
-        if not container.streams.video:
+        stream: Any = container.streams.best("video")
+        if stream is None:
             raise SceneError("is no video that is read (it has no pictures)")
         yield Frame(np.zeros((0, 0, 3), np.uint8), (container.duration or 0) / av.time_base)
-        stream = container.streams.video[0]
         stream.thread_type, stream.thread_count = "AUTO", 4
         start, last, kept = None, -np.inf, 0
         try:

@@ -251,8 +251,8 @@ class Guide:
     def _step(self, frame: int, following: int) -> float:
         """Return degrees to the left from a frame to the next one of the path."""
         if (frame, following) not in self._steps:
-            described = self.graph.described
-            self._steps[frame, following] = self._motion(described[frame : frame + 1], described, following).turned
+            motion = self.graph.motion(self.matcher, frame, following)
+            self._steps[frame, following] = 0.0 if motion is None else motion.turned
         return self._steps[frame, following]
 
     def _next_turn(self, path: list[int]) -> float:
