@@ -72,6 +72,15 @@ def test_visits_of_a_place_add_up():
     assert not LocalisingMemory(confidence=0.99, correlation=1.0).stops(again).item()
 
 
+def test_a_view_that_shows_nothing_tells_nothing_of_the_goal():
+    """As of a dead camera ahead: a camera aside has seen the goal before the agent turned to it."""
+    memory, seen_aside = LocalisingMemory(), {0: {1: 7.0}, 1: {0: -torch.inf}}
+    places = walk(memory, (RIGHT, {}), goal=seen_aside)
+    assert memory.stops(places).item()
+    assert 0 < memory._goal(places)[0, places.here].item() < 7  # but less than before, or the agent would stay for ever
+    assert not LocalisingMemory().stops(walk(LocalisingMemory(), goal={0: {0: -torch.inf}})).item()
+
+
 def test_what_is_somewhat_like_the_goal_is_left_to_see_its_neighbours_and_returned_to():
     memory = LocalisingMemory(confidence=0.95, neighbour=2.0, correlation=0.0)
     places, facing, seen = memory.begin(1), 0, 0

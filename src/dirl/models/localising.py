@@ -48,7 +48,8 @@ class Places(Nodes):
     node: Tensor
     """Where each visit was, int64 ``[B, T]``."""
     goal: Tensor
-    """Log odds of each visit that the goal is seen there, facing each of its views, float32 ``[B, T, V]``."""
+    """Log odds of each visit that the goal is seen there, facing each of its views, float32 ``[B, T, V]``;
+    minus infinity of a view that shows nothing."""
     position: Tensor
     """Of each place, to the right of and ahead of the start, in hundredths of a move, int64 ``[B, P, 2]``."""
     heading: Tensor
@@ -341,8 +342,11 @@ class LocalisingMemory(nn.Module):
 
     def _goal(self, places: Places) -> Tensor:
         """Log odds that the goal is at each node, float32 ``[B, K P]``."""
-        total, visits = self._sums(places.goal.clamp(min=UNLIKE), places)
-        return torch.where(visits > 0, total / (1 + (visits - 1) * self.correlation), -math.inf)
+        told = places.goal.isfinite()
+        total, visits = self._sums(torch.where(told, places.goal.clamp(min=UNLIKE), 0.0), places)
+        # A visit that shows nothing makes less of what others told, or agents would return to see it again and again.
+        known = self._sums(told.float(), places)[0] > 0
+        return torch.where(known, total / (1 + (visits - 1) * self.correlation), -math.inf)
 
     def _sums(self, odds: Tensor, places: Places) -> tuple[Tensor, Tensor]:
         """Sum log odds of visits, float32 ``[B, T, V]``, by node, ``[B, K P]``; return the sums and their counts."""

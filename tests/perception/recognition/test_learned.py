@@ -85,6 +85,17 @@ def test_the_weights_of_the_package_are_calibrated_and_need_the_patches_of_its_e
         network.describe(torch.zeros(3, 2048))
 
 
+def test_a_view_that_shows_nothing_is_no_evidence_that_a_photo_was_taken_elsewhere():
+    network = Learned()
+    patches = torch.randn(2, 4, 48, 96, generator=torch.Generator().manual_seed(0))
+    patches[1, 0] = patches[1, 0, :1] + 0.1 * patches[1, 0]  # of one colour, but for noise
+    described = network.describe(torch.zeros(2, 4, 1280), patches)
+    odds = network.scores(described, described[:1, :1])
+    assert odds[0].isfinite().all()
+    assert (odds[1] == -torch.inf).all()
+    assert network.scores(described.roll(1, 1), described[:1, :1]).isfinite().all()  # aside it is
+
+
 def test_weights_that_cannot_be_used_are_named(tmp_path):
     file = tmp_path / "weights.pt"
     with pytest.raises(ValueError, match=rf"^weights={file}: there is no such file$"):

@@ -84,7 +84,7 @@ class Recogniser(Protocol):
             references: of visits, ``[..., B, 4, F]``, or of single photos, ``[..., B, 1, F]``.
 
         Returns:
-            float32 ``[..., A, B]``; higher is more alike.
+            float32 ``[..., A, B]``; higher is more alike. Minus infinity: the visit shows nothing that could tell.
         """
 
 
