@@ -248,6 +248,8 @@ PARTS = [  # about how many seconds each takes on an H100, and what it measures
 
 def main():
     """Print a row for each part."""
+    if OPTIONS.out is not None:
+        Path(OPTIONS.out).mkdir(parents=True, exist_ok=True)
     if DEVICE == "cuda":
         say(torch.cuda.get_device_name(), f"torch {torch.__version__}")
     for number in range(len(PARTS)) if OPTIONS.parts is None else OPTIONS.parts:

@@ -335,7 +335,8 @@ class LocalisingMemory(nn.Module):
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, V]``, as those of nodes, ``[B, K P]``."""
         temperature = torch.where(places.mapped | _panorama(places), 1.0, self.temperature)[:, None, None]
-        total, visits = self._sums((odds / temperature).clamp(min=self.least), places)
+        total = _by_node((odds / temperature).clamp(min=self.least), places)
+        visits = _by_node(torch.ones_like(odds), places)
         evidence = total * visits.clamp(min=1) ** (self.independence - 1)
         # Of a heading that was not seen nothing is known, neither for nor against it.
         return torch.where(places.used, evidence, -math.inf)
@@ -343,16 +344,17 @@ class LocalisingMemory(nn.Module):
     def _goal(self, places: Places) -> Tensor:
         """Log odds that the goal is at each node, float32 ``[B, K P]``."""
         told = places.goal.isfinite()
-        total, visits = self._sums(torch.where(told, places.goal.clamp(min=UNLIKE), 0.0), places)
+        total = _by_node(torch.where(told, places.goal.clamp(min=UNLIKE), 0.0), places)
+        visits = _by_node(torch.ones_like(places.goal), places)
         # A visit that shows nothing makes less of what others told, or agents would return to see it again and again.
-        known = self._sums(told.float(), places)[0] > 0
+        known = _by_node(told.float(), places) > 0
         return torch.where(known, total / (1 + (visits - 1) * self.correlation), -math.inf)
 
-    def _sums(self, odds: Tensor, places: Places) -> tuple[Tensor, Tensor]:
-        """Sum log odds of visits, float32 ``[B, T, V]``, by node, ``[B, K P]``; return the sums and their counts."""
-        node = places.seen.flatten(1)
-        total = odds.new_zeros(len(odds), places.cost.shape[1]).scatter_add(1, node, odds.flatten(1))
-        return total, torch.zeros_like(total).scatter_add(1, node, torch.ones_like(odds).flatten(1))
+
+def _by_node(values: Tensor, places: Places) -> Tensor:
+    """Sum what visits have for each of their views, float32 ``[B, T, V]``, by node, ``[B, K P]``."""
+    none = values.new_zeros(len(values), places.cost.shape[1])
+    return none.scatter_add(1, places.seen.flatten(1), values.flatten(1))
 
 
 @cache

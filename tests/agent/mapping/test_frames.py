@@ -184,12 +184,13 @@ def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, m
         "links": np.array([[0, 99]]),
         "field_of_view": np.float64(np.nan),
         "times": np.full(len(graph), np.nan),
-        "counts": graph.described.counts[1:],
+        "counts": np.full(len(graph), -1, np.int16),
+        "vectors": graph.described.vectors.astype(float),
         "kind": np.array("other"),
     }
     for name, values in damages.items():
         np.savez(file, **arrays | {name: values})
-        with pytest.raises(MapError, match="is no map that can be read"):
+        with pytest.raises(MapError, match=f"is no map that can be read .*{name if name != 'kind' else 'other'}"):
             load_frames_map(file)
     np.savez(file, **arrays | {"vectors": graph.described.vectors[..., :9]})
     with pytest.raises(MapError, match="are described in another way"):
