@@ -4,9 +4,8 @@ Files are those of runs, choices of a group of ``conf/``, and components of the 
 configuration completely. All are read without running or resolving anything in them.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +48,7 @@ def typed(config: DictConfig) -> Any:
 
 def plain(config: Any) -> dict[str, Any]:
     """Return a typed configuration as nested values, without ``out``, ``resume`` and ``trust`` of its start."""
-
-    def by_name(items: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-        return {name: value.name if isinstance(value, Enum) else value for name, value in items}
-
-    return {**asdict(config, dict_factory=by_name), "out": None, "resume": None, "trust": None}
+    return {**asdict(config), "out": None, "resume": None, "trust": None}
 
 
 def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
