@@ -130,6 +130,7 @@ def test_messages_of_cameras_become_pixels(ros2):
         "other_cameras",
         "phone_photos",
         "train_columns",
+        "train_locator",
         "walk_miniworld",
     ],
 )

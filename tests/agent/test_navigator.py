@@ -107,8 +107,10 @@ FRONT = "goal_view=front"
         ([FRONT, "episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3), 4, {}),
         (["episodic_memory=planning"], PlanningMemory(), 8, {"panorama": True, "arrows": True}),
         ([FRONT, "episodic_memory=localising"], LocalisingMemory(), 4, {}),
+        ([FRONT, "episodic_memory=localising", "+policy.locates=5"], LocalisingMemory(), 4, {}),
+        (["episodic_memory=localising", "+policy.locates=5"], LocalisingMemory(), 4, {}),
     ],
-    ids=["planning", "of a photo", "of a panorama", "localising"],
+    ids=["planning", "of a photo", "of a panorama", "localising", "locating", "locating four views"],
 )
 def test_a_navigator_with_a_memory_walks_as_the_evaluation_does(tmp_path, monkeypatch, options, memory, turns, shown):
     place = {} if turns == 4 else {"headings": turns, "goals": (9,), "blocked": [(0, 1)]}

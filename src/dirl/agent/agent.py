@@ -17,6 +17,8 @@ from dirl.agent.mapping.graph_policy import GraphGuide
 from dirl.agent.mapping.places import PlaceMap
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
+from dirl.models.belief import GoalBelief
+from dirl.models.localising import MOVE
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, BACK
 
@@ -74,6 +76,13 @@ class Observed(Protocol):
 
     def facing(self, chosen: Tensor) -> Tensor:
         """Return the chosen agents' logits, bool ``[B]``, facing each view; ``[B, K, 4]``, zero for others."""
+
+    @property
+    def displacement(self) -> Tensor | None:
+        """Where the goal lies, by the log probability of cells, facing each view, ``[B, K, S, S]``; None = unknown.
+
+        See `dirl.models.policy.GoalLocator`. Nobody tells it in panoramas, which stand anywhere.
+        """
 
     def at_goal(self) -> Tensor:
         """Return True where the recogniser takes this visit for the goal, bool ``[B]``."""
@@ -234,6 +243,8 @@ class Localising(Remembering):
     ) -> None:
         super().__init__(memory, guide)
         self.turns, self.known = turns, known
+        self.belief: GoalBelief | None = None
+        """Where the goals are; None where nobody tells, and with a map, which tells it."""
 
     def arrive(self, now: Observed) -> Tensor:
         """Take in what the agents see; return True where they stop, bool ``[B]``."""
@@ -250,11 +261,22 @@ class Localising(Remembering):
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] + now.points
         self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows)
-        return self.memory.stops(self.past)
+        displacement = now.displacement if self.known is None else None
+        if displacement is not None:
+            position, heading = self.past.pose
+            self.belief = self.belief or GoalBelief(agents, device)
+            self.belief.see(displacement, position / MOVE, heading, self.turns)
+        return self.memory.stops(self.past, self.belief)
 
     def logits(self, now: Observed) -> Tensor:
         """Return the plan's logits."""
-        return self.memory.plan(self.past, steps=now.arrows is not None)
+        return self.memory.plan(self.past, self.belief, steps=now.arrows is not None)
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents."""
+        super().select(chosen)
+        if self.belief is not None:
+            self.belief.select(chosen)
 
 
 def make_agent(

@@ -75,15 +75,24 @@ class FeaturePolicy(nn.Module):
         """Return logits, value and the next recurrent state; see `forward`."""
         # Not `len`: ONNX would then keep the number of agents of the trace, which is a free dimension.
         policy, scene = self.policy, torch.zeros(features.shape[0], dtype=torch.int64, device=features.device)
-        features, goal_features = (of[..., : policy.features.inputs] for of in (features, goal_features))
-        known = (goal_features != 0).any(-1, keepdim=True)
-        goal = torch.where(known, policy.features.standardise(goal_features), 0.0)
-        encoded = policy.encoder(policy.features.standardise(features), goal)
+        encoded = policy.encoder(*self._read(features, goal_features))
         after: tuple[Tensor, ...] = ()
         if self.state_keys:
             encoded, after = self._remember(encoded, state)
         hidden = policy.heads.trunk(encoded, scene)
         return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), *after
+
+    def locate(self, features: Tensor, goal_features: Tensor) -> Tensor:
+        """Return where the goals lie, ``[B, S, S]``, see `dirl.models.policy.GoalLocator`; inputs as `forward`."""
+        located: Tensor = self.policy.locator(*self._read(features, goal_features))
+        return located
+
+    def _read(self, features: Tensor, goal_features: Tensor) -> tuple[Tensor, Tensor]:
+        """Return features as the network reads them; views of a goal that are not known stay zeros."""
+        table = self.policy.features
+        features, goal_features = (of[..., : table.inputs] for of in (features, goal_features))
+        known = (goal_features != 0).any(-1, keepdim=True)
+        return table.standardise(features), torch.where(known, table.standardise(goal_features), 0.0)
 
     def matching(self, features: Tensor, goal_features: Tensor) -> Tensor:
         """Return the matching coefficient ``[B]``: of all views if the goal's are known, else of one; see `forward`."""
@@ -252,6 +261,16 @@ class Views:
             asked = self.goal.policy.decide(views, self.goal.wanted(self.goal.features, len(views), chosen))[0]
             logits[chosen] = asked.unflatten(0, (-1, headings))
         return logits
+
+    @property
+    def displacement(self) -> Tensor | None:
+        """Where the goals lie, facing each view."""
+        policy, headings = self.goal.policy, self.features.shape[1]
+        if policy.policy.locator is None or headings > VIEWS:
+            return None
+        views = each_heading(self.features)
+        located = policy.locate(views, self.goal.wanted(self.goal.features, len(views)))
+        return located.unflatten(0, (-1, headings))
 
     def at_goal(self) -> Tensor:
         """Return True where agents stop."""

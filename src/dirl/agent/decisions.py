@@ -51,6 +51,20 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     return lambda episode, ahead, view_ids, wanted: table.index_select(0, world.pair(wanted, ahead))
 
 
+def locating(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide | None:
+    """Return a function as `Decide`, but to where the goals lie, ``[B, S, S]``; None of a policy that does not tell."""
+    locator, features = getattr(policy, "locator", None), getattr(policy, "features", None)
+    if locator is None or features is None:
+        return None
+
+    def locate(_: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
+        shown = observe(world, observation, ahead, view_ids, wanted)["goal_view_ids"]
+        pairs = zip(view_ids.split(PAIRS_AT_ONCE), shown.split(PAIRS_AT_ONCE), strict=True)
+        return torch.cat([locator(features(seen), features(goal)) for seen, goal in pairs])
+
+    return locate
+
+
 def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:
     keys, goals = Keys(observation.pictures + 1, len(observation.order)), len(world.goals) * world.looks
     seen = EmbeddingCache(keys.unpack)
@@ -144,6 +158,8 @@ class WorldTables:
     """True where agents stop; with a `LocalisingMemory` the log odds, a `ScoreFunction`."""
     scores: VisitScores | None = None
     """By which a memory recognises places."""
+    locate: Decide | None = None
+    """Where the goals lie, see `locating`."""
     around: Tensor | None = None
     """The states that are seen from each, clockwise, int64 ``[N, K]``; None = `World.surrounding`."""
     possible: Tensor | None = None
@@ -234,6 +250,16 @@ class AgentBatch:
             asked = self.known.decide(episode, ahead, self.known.observation.reset_view_ids(ahead), shown)
             logits[chosen] = asked.view(-1, views, len(ACTIONS))
         return logits
+
+    @property
+    def displacement(self) -> Tensor | None:
+        """Where the goals that are shown lie, facing each view."""
+        if self.known.locate is None or self.visit.shape[1] > VIEWS:
+            return None
+        ahead, observation = self.visit.flatten(), self.known.observation
+        episode, shown = (rows.repeat_interleave(VIEWS) for rows in (self.episode, self.shown))
+        located = self.known.locate(episode, ahead, observation.reset_view_ids(ahead), shown)
+        return located.unflatten(0, self.visit.shape)
 
     def at_goal(self) -> Tensor:
         """Return True where agents stop."""

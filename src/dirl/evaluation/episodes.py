@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from dirl.agent.agent import MANY, Memory, make_agent
-from dirl.agent.decisions import AgentBatch, WorldTables, deciding
+from dirl.agent.decisions import AgentBatch, WorldTables, deciding, locating
 from dirl.agent.mapping.places import PlaceMap
 from dirl.envs import SurroundingViews
 from dirl.models import caching
@@ -183,6 +183,7 @@ class EvaluationProtocol:
                 decide=None if at_random else deciding(policy, world, observation, len(start)),
                 arrived=_arrived(world, self.stop),
                 scores=scores,
+                locate=locating(policy, world, observation),
                 around=world.panoramas() if self.panorama else None,
                 possible=world.possible if self.arrows else None,
                 sweeps=isinstance(policy, RandomPolicy),

@@ -11,6 +11,7 @@ from annotated_types import Interval
 from torch import Tensor, nn
 
 from dirl.envs.transforms import VIEWS
+from dirl.models.belief import GoalBelief
 from dirl.models.planning import SURE, Nodes, again_costs, cheapest, connect
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, LEFT, RIGHT
@@ -70,6 +71,12 @@ class Places(Nodes):
     def seen(self) -> Tensor:
         """The nodes that each visit sees, int64 ``[B, T, V]``."""
         return self.around(self.node)
+
+    @property
+    def pose(self) -> tuple[Tensor, Tensor]:
+        """Where the agents are, in the units of `position`, and in right turns since the start, ``[B, 2]``, ``[B]``."""
+        at, place = torch.arange(len(self.node), device=self.node.device), self.here // self.turns
+        return self.position[at, place], (self.heading[at, place] + self.here) % self.turns
 
     def around(self, node: Tensor) -> Tensor:
         """Return the nodes that are seen from nodes ``[...]``, clockwise from the one ahead, ``[..., V]``."""
@@ -276,20 +283,20 @@ class LocalisingMemory(nn.Module):
             connect(arrived.after, places.here, places.action, here, turns, arrived.taken, possible)
         return arrived
 
-    def stops(self, places: Places) -> Tensor:
-        """Return True where agents stop now, bool ``[B]``."""
-        evidence = self._goal(places)
-        return self._certain(places, evidence, places.here) & (evidence.argmax(1) == places.here)
+    def stops(self, places: Places, belief: GoalBelief | None = None) -> Tensor:
+        """Return True where agents stop now, bool ``[B]``; ``belief`` is where they believe their goals to be."""
+        evidence = self._goal(places, belief)
+        return self._certain(places, evidence, places.here, belief) & (evidence.argmax(1) == places.here)
 
-    def plan(self, places: Places, *, steps: bool = False) -> Tensor:
-        """Return the logits of the actions where the agents are, see `PlanningMemory.plan`."""
-        evidence = self._goal(places)
+    def plan(self, places: Places, belief: GoalBelief | None = None, *, steps: bool = False) -> Tensor:
+        """Return the logits of the actions where the agents are, see `stops` and `PlanningMemory.plan`."""
+        evidence = self._goal(places, belief)
         turns = places.turns
         untried = (places.after < 0) & places.cost.isfinite()
         exits = untried.unflatten(1, (-1, turns)).flatten(2)  # at each place, [B, P, 4 K]
         odds, best = evidence.max(1)
         at = torch.arange(len(best), device=best.device)
-        certain = self._certain(places, evidence, best)
+        certain = self._certain(places, evidence, best, belief)
         around = (odds > self.seek) & ~certain & exits.any(-1)[at, best // turns]
         wanted = torch.zeros_like(exits)
         wanted[at, best // turns] = exits[at, best // turns] & around[:, None]
@@ -306,16 +313,21 @@ class LocalisingMemory(nn.Module):
         )
         return -torch.where(costs.isinf().all(-1, keepdim=True), places.cost[at, places.here], costs)
 
-    def _certain(self, places: Places, evidence: Tensor, node: Tensor) -> Tensor:
+    def _certain(self, places: Places, evidence: Tensor, node: Tensor, belief: GoalBelief | None) -> Tensor:
         """Return True where the goal is at a node of the agent with the probability that is asked for, bool ``[B]``."""
         at = torch.arange(len(node), device=node.device)
         # A move back at one heading is the move ahead at the opposite one.
         untried = (places.after[..., AHEAD] < 0) & places.cost[..., AHEAD].isfinite()
-        near = untried.unflatten(1, (-1, places.turns))[at, node // places.turns].sum(1)
+        place = torch.arange(untried.shape[1], device=node.device) // places.turns
+        near = (place == (node // places.turns)[:, None]) & ~places.mapped[:, None]
         # A map has doubles of places, whose moves were not tried from each of them.
         whole = places.mapped | ~untried.any(1)
-        unseen = (self.elsewhere * (1 + untried.sum(1)) + self.neighbour * near * ~places.mapped).log()
-        every = torch.cat([evidence, unseen[:, None]], 1).logsumexp(1)
+        behind = (self.elsewhere + self.neighbour * near).log()
+        if belief is not None:
+            behind = behind + belief.odds(_ahead(places))
+        behind = torch.where(untried, behind, -math.inf)
+        anywhere = torch.full_like(behind[:, :1], math.log(self.elsewhere))
+        every = torch.cat([evidence, behind, anywhere], 1).logsumexp(1)
         probability = (evidence[at, node] - every).exp()
         return probability > torch.where(whole, self.settle, self.confidence)
 
@@ -324,13 +336,11 @@ class LocalisingMemory(nn.Module):
         action = places.action
         if _carried(places):
             return action.new_full((len(action), 2), FAR * places.node.shape[1]), torch.zeros_like(action)
-        turns = places.turns
-        at, place = torch.arange(len(action), device=action.device), places.here // turns
         turned, moved = (torch.tensor(by, device=action.device)[action] for by in (TURNED, MOVED))
-        heading = (places.heading[at, place] + places.here) % turns
-        along = _steps(turns).to(action.device)[heading] * moved[:, None]
+        position, heading = places.pose
+        along = _steps(places.turns).to(action.device)[heading] * moved[:, None]
         # Of the first view of a place: the agent faces it when it arrives.
-        return places.position[at, place] + along, (heading + turned) % turns
+        return position + along, (heading + turned) % places.turns
 
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, V]``, as those of nodes, ``[B, K P]``."""
@@ -341,20 +351,30 @@ class LocalisingMemory(nn.Module):
         # Of a heading that was not seen nothing is known, neither for nor against it.
         return torch.where(places.used, evidence, -math.inf)
 
-    def _goal(self, places: Places) -> Tensor:
+    def _goal(self, places: Places, belief: GoalBelief | None = None) -> Tensor:
         """Log odds that the goal is at each node, float32 ``[B, K P]``."""
         told = places.goal.isfinite()
         total = _by_node(torch.where(told, places.goal.clamp(min=UNLIKE), 0.0), places)
         visits = _by_node(torch.ones_like(places.goal), places)
         # A visit that shows nothing makes less of what others told, or agents would return to see it again and again.
         known = _by_node(told.float(), places) > 0
-        return torch.where(known, total / (1 + (visits - 1) * self.correlation), -math.inf)
+        evidence = torch.where(known, total / (1 + (visits - 1) * self.correlation), -math.inf)
+        if belief is None:
+            return evidence
+        return evidence + belief.odds(places.position / MOVE).repeat_interleave(places.turns, 1)
 
 
 def _by_node(values: Tensor, places: Places) -> Tensor:
     """Sum what visits have for each of their views, float32 ``[B, T, V]``, by node, ``[B, K P]``."""
     none = values.new_zeros(len(values), places.cost.shape[1])
     return none.scatter_add(1, places.seen.flatten(1), values.flatten(1))
+
+
+def _ahead(places: Places) -> Tensor:
+    """Return where a move ahead would lead, in moves to the right and ahead of the start, float32 ``[B, K P, 2]``."""
+    headings = (places.heading[..., None] + torch.arange(places.turns, device=places.heading.device)) % places.turns
+    along = _steps(places.turns).to(headings.device)[headings]
+    return (places.position[:, :, None] + along).flatten(1, 2) / MOVE
 
 
 @cache

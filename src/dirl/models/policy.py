@@ -6,6 +6,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from copy import deepcopy
 from typing import Annotated, ClassVar
 
 import torch
@@ -99,6 +100,36 @@ class ActorCriticHeads(nn.Module):
         self.trunk = SceneTrunks(names, lambda: nn.Sequential(nn.Linear(in_features, width), nn.ReLU()))
         self.policy = SceneLinear(names, width, num_actions)
         self.value = SceneLinear(names, width, 1)
+
+
+class GoalLocator(nn.Module):
+    """Tell where the goal lies: the log probability of each cell around the agent, which stands in the middle.
+
+    A cell is as wide as a move is long. Rows lead ahead, columns to the right; what lies farther than ``reach`` moves
+    counts to the cells at the edge.
+
+    Args:
+        encoder: features of observation and goal, float32 ``[B, 4, D]`` each, to ``[B, width]``.
+        width: see ``encoder``.
+        reach: moves ahead, behind and to either side.
+    """
+
+    def __init__(self, encoder: nn.Module, width: int, reach: int) -> None:
+        super().__init__()
+        self.side = 2 * reach + 1
+        self.encoder = encoder
+        self.layers = nn.Sequential(
+            nn.Linear(width, width),
+            nn.ReLU(),
+            nn.Linear(width, width),
+            nn.ReLU(),
+            nn.Linear(width, self.side**2),
+        )
+
+    def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
+        """Return log probabilities, float32 ``[B, S, S]``, of observation and goal, ``[B, 4, D]`` each."""
+        located = self.layers(self.encoder(observation, goal_observation))
+        return located.float().log_softmax(-1).unflatten(-1, (self.side, self.side))
 
 
 class SceneTrunks(nn.Module):
@@ -215,6 +246,7 @@ class ActorCritic(TensorDictModuleBase):
         encoder: features of observation and goal, float32 ``[B, 4, D]`` each, to ``fused`` ``[B, width]``.
         heads: ``trunk``, ``policy`` and ``value``, see `ActorCriticHeads`.
         memory: reads ``fused`` and writes ``memory``, as TorchRL's ``GRUModule`` and ``LSTMModule`` do.
+        locates: moves within which a second encoder like the first locates the goal, see `GoalLocator`; 0 = none does.
     """
 
     def __init__(
@@ -223,12 +255,14 @@ class ActorCritic(TensorDictModuleBase):
         encoder: nn.Module,
         heads: ActorCriticHeads,
         memory: TensorDictModuleBase | None = None,
+        locates: Annotated[int, Interval(ge=0, le=64)] = 0,
     ) -> None:
         super().__init__()
         self.features = features
         self.encoder = encoder
         self.memory = memory
         self.heads = heads
+        self.locator = GoalLocator(deepcopy(encoder), heads.width, locates) if locates else None
         self.cached: CachedEncoder | None = None
         self.in_keys, self.out_keys = [*VIEW_IDS, "scene"], ["hidden", "logits", "state_value"]
         if memory is not None:

@@ -1,0 +1,84 @@
+"""Where the goal lies, by all that was seen in an episode: a posterior over the cells of a grid around the start."""
+
+import math
+
+import torch
+from torch import Tensor
+
+REACH = 24
+"""Cells from the start to each edge of the grid; a cell is as wide as a move is long."""
+
+UNLIKELY = -9.0
+"""The least log probability of a cell: a network that was never wrong in training can be."""
+
+GROWTH = 0.5
+"""The mean of what n visits say counts n to this power: visits to one room err alike."""
+
+ROOM = 30
+"""Cells where a goal may be, before anything was seen."""
+
+AGENTS_AT_ONCE = 1024
+"""Of many agents, so many are taken at a time."""
+
+CLEAR = 6.0
+"""The most that the posterior adds to the log odds of a place, or takes from them."""
+
+
+class GoalBelief:
+    """Where the goals of B agents lie, in right turns and moves since the start of each one's episode.
+
+    Every visit says, facing each view, how likely the goal lies so far ahead and to the right. Dead reckoning tells
+    where the visit was, so what all visits say can be added up in the cells of one grid.
+    """
+
+    def __init__(self, agents: int, device: torch.device | str = "cpu") -> None:
+        self.cells = torch.zeros((agents, 2 * REACH + 1, 2 * REACH + 1), device=device)
+        """The sum of the log probabilities of all visits: ``[b, y, x]`` of the cell ``y - REACH`` moves ahead and
+        ``x - REACH`` to the right of the start."""
+        self.visits = 0
+
+    def see(self, displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> None:
+        """Add what a visit says of the goal.
+
+        Args:
+            displacement: log probability that the goal lies so many moves ahead (rows) and to the right (columns) of
+                the agent, facing each of its views, float32 ``[B, V, S, S]``; the agent is in the middle.
+            position: of the visit, to the right of and ahead of the start, in moves, float32 ``[B, 2]``.
+            heading: of the first view, in right turns since the start, int64 ``[B]``.
+            turns: in a full circle.
+        """
+        for some in torch.arange(len(position), device=position.device).split(AGENTS_AT_ONCE):
+            self.cells[some] += _from_the_start(displacement[some], position[some], heading[some], turns)
+        self.visits += 1
+
+    def odds(self, position: Tensor) -> Tensor:
+        """Return how much more likely the goal is at positions than before anything was seen, a log ratio.
+
+        Positions are float32 ``[B, P, 2]``, as those of visits; the result is float32 ``[B, P]``.
+        """
+        right, ahead = (position.round().long() + REACH).clamp(0, 2 * REACH).unbind(-1)
+        posterior = (self.cells * max(self.visits, 1) ** (GROWTH - 1)).flatten(1).log_softmax(1)
+        told = posterior.gather(1, ahead * (2 * REACH + 1) + right)
+        return (told + math.log(ROOM)).clamp(-CLEAR, CLEAR)
+
+    def select(self, chosen: Tensor) -> None:
+        """Keep some of the agents, by mask or index."""
+        self.cells = self.cells[chosen]
+
+
+def _from_the_start(displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> Tensor:
+    """Return what a visit says, see `GoalBelief.see`, of the cells around the start: the mean of its views."""
+    _, views, side, _ = displacement.shape
+    axis = torch.arange(-REACH, REACH + 1, device=position.device)
+    ahead, right = torch.meshgrid(axis, axis, indexing="ij")
+    ahead, right = ahead - position[:, 1, None, None], right - position[:, 0, None, None]
+    told = torch.zeros_like(ahead)
+    for view in range(views):
+        angle = (2 * math.pi / turns * (heading + turns // views * view))[:, None, None]
+        row = (right * angle.sin() + ahead * angle.cos()).round().long() + side // 2
+        column = (right * angle.cos() - ahead * angle.sin()).round().long() + side // 2
+        outside = (torch.minimum(row, column) < 0) | (torch.maximum(row, column) >= side)
+        cell = torch.where(outside, 0, row * side + column).flatten(1)
+        facing = displacement[:, view].flatten(1).gather(1, cell).view_as(told).clamp(min=UNLIKELY)
+        told += torch.where(outside, UNLIKELY, facing) / views
+    return told
