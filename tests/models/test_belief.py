@@ -51,6 +51,8 @@ def test_visits_that_agree_make_sure_and_one_that_does_not_leaves_doubt():
             belief.see(told(right, ahead, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
         sure.append(belief.odds(goal).item())
     assert sure[3] < sure[0] < sure[1] < sure[2] <= CLEAR
+    belief.most = sure[3] - 1
+    assert belief.odds(goal).item() == pytest.approx(sure[3] - 1)  # as of a photo, of which it is less sure
 
 
 def test_far_away_nothing_is_told_but_that_the_goal_is_unlikely():

@@ -17,7 +17,7 @@ from dirl.agent.mapping.graph_policy import GraphGuide
 from dirl.agent.mapping.places import PlaceMap
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
-from dirl.models.belief import GoalBelief
+from dirl.models.belief import CLEAR, OF_A_PHOTO, GoalBelief
 from dirl.models.localising import MOVE
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, BACK
@@ -264,7 +264,8 @@ class Localising(Remembering):
         displacement = now.displacement if self.known is None else None
         if displacement is not None:
             position, heading = self.past.pose
-            self.belief = self.belief or GoalBelief(agents, device)
+            most = CLEAR if now.goal_pooled.shape[1] > 1 else OF_A_PHOTO
+            self.belief = self.belief or GoalBelief(agents, device, most)
             self.belief.see(displacement, position / MOVE, heading, self.turns)
         return self.memory.stops(self.past, self.belief)
 

@@ -20,8 +20,9 @@ ROOM = 30
 AGENTS_AT_ONCE = 1024
 """Of many agents, so many are taken at a time."""
 
-CLEAR = 6.0
-"""The most that the posterior adds to the log odds of a place, or takes from them."""
+CLEAR, OF_A_PHOTO = 6.0, 2.0
+"""The most that the posterior adds to the log odds of a place, and where the goal is a photo; it takes up to the first
+from them. In validation rooms more than the second led to false stops at places near the photo's."""
 
 
 class GoalBelief:
@@ -29,13 +30,18 @@ class GoalBelief:
 
     Every visit says, facing each view, how likely the goal lies so far ahead and to the right. Dead reckoning tells
     where the visit was, so what all visits say can be added up in the cells of one grid.
+
+    Args:
+        agents: B.
+        device: of the grids.
+        most: that is added to the log odds of a place.
     """
 
-    def __init__(self, agents: int, device: torch.device | str = "cpu") -> None:
+    def __init__(self, agents: int, device: torch.device | str = "cpu", most: float = CLEAR) -> None:
         self.cells = torch.zeros((agents, 2 * REACH + 1, 2 * REACH + 1), device=device)
         """The sum of the log probabilities of all visits: ``[b, y, x]`` of the cell ``y - REACH`` moves ahead and
         ``x - REACH`` to the right of the start."""
-        self.visits = 0
+        self.visits, self.most = 0, most
 
     def see(self, displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> None:
         """Add what a visit says of the goal.
@@ -59,7 +65,7 @@ class GoalBelief:
         right, ahead = (position.round().long() + REACH).clamp(0, 2 * REACH).unbind(-1)
         posterior = (self.cells * max(self.visits, 1) ** (GROWTH - 1)).flatten(1).log_softmax(1)
         told = posterior.gather(1, ahead * (2 * REACH + 1) + right)
-        return (told + math.log(ROOM)).clamp(-CLEAR, CLEAR)
+        return (told + math.log(ROOM)).clamp(-CLEAR, self.most)
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents, by mask or index."""
