@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dirl.models import LocalisingMemory
-from dirl.models.belief import CLEAR, GoalBelief
+from dirl.models.belief import CLEAR, REACH, GoalBelief
 from dirl.models.policy import GoalLocator
 
 SIDE = 9
@@ -73,6 +73,17 @@ def test_a_memory_stops_at_a_place_that_looks_little_like_the_goal_where_the_goa
     elsewhere.see(told(0, 1), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
     assert memory.stops(places, here).item()
     assert not memory.stops(places, elsewhere).item()
+
+
+def test_where_the_goal_is_believed_to_lie_behind_an_exit_a_place_that_looks_like_it_is_not_certain():
+    memory = LocalisingMemory(neighbour=0.0, elsewhere=1.0)
+    odds = torch.tensor([[9.0, -9.0, -9.0, -9.0]])
+    places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, lambda chosen: torch.ones(len(chosen), 4, 4))
+    belief = GoalBelief(1)
+    belief.cells[0] = -10.0  # unlikely anywhere, here as well
+    assert memory.stops(places, belief).item()
+    belief.cells[0, REACH + 1, REACH] = 10.0  # but a move ahead
+    assert not memory.stops(places, belief).item()
 
 
 @torch.no_grad()
