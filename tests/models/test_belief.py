@@ -77,7 +77,7 @@ def test_a_memory_stops_at_a_place_that_looks_little_like_the_goal_where_the_goa
 
 def test_where_the_goal_is_believed_to_lie_behind_an_exit_a_place_that_looks_like_it_is_not_certain():
     memory = LocalisingMemory(neighbour=0.0, elsewhere=1.0)
-    odds = torch.tensor([[9.0, -9.0, -9.0, -9.0]])
+    odds = torch.tensor([[11.0, -9.0, -9.0, -9.0]])
     places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, lambda chosen: torch.ones(len(chosen), 4, 4))
     belief = GoalBelief(1)
     belief.cells[0] = -10.0  # unlikely anywhere, here as well
