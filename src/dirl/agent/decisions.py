@@ -53,9 +53,10 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
 
 def locating(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide | None:
     """Return a function as `Decide`, but to where the goals lie, ``[B, S, S]``; None of a policy that does not tell."""
-    locator, features = getattr(policy, "locator", None), getattr(policy, "features", None)
-    if locator is None or features is None:
+    locator = getattr(policy, "locator", None)
+    if locator is None:
         return None
+    features: Any = policy.features
 
     def locate(_: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
         shown = observe(world, observation, ahead, view_ids, wanted)["goal_view_ids"]

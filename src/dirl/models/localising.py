@@ -73,6 +73,11 @@ class Places(Nodes):
         return self.around(self.node)
 
     @property
+    def headings(self) -> Tensor:
+        """Of each node of each place, in right turns since the start, int64 ``[B, P, K]``."""
+        return (self.heading[..., None] + torch.arange(self.turns, device=self.heading.device)) % self.turns
+
+    @property
     def pose(self) -> tuple[Tensor, Tensor]:
         """Where the agents are, in the units of `position`, and in right turns since the start, ``[B, 2]``, ``[B]``."""
         at, place = torch.arange(len(self.node), device=self.node.device), self.here // self.turns
@@ -227,8 +232,7 @@ class LocalisingMemory(nn.Module):
         if not _carried(places):
             position, heading = self._expected(places)
             outcome = places.after[at, places.here, places.action]
-            headings = places.heading[..., None] + torch.arange(places.turns, device=heading.device)
-            there = headings % places.turns == heading[:, None, None]
+            there = places.headings == heading[:, None, None]
             panorama = _panorama(places)
             if not panorama:
                 there = there & (places.position == position[:, None]).all(-1)[..., None]
@@ -372,8 +376,7 @@ def _by_node(values: Tensor, places: Places) -> Tensor:
 
 def _ahead(places: Places) -> Tensor:
     """Return where a move ahead would lead, in moves to the right and ahead of the start, float32 ``[B, K P, 2]``."""
-    headings = (places.heading[..., None] + torch.arange(places.turns, device=places.heading.device)) % places.turns
-    along = _steps(places.turns).to(headings.device)[headings]
+    along = _steps(places.turns).to(places.heading.device)[places.headings]
     return (places.position[:, :, None] + along).flatten(1, 2) / MOVE
 
 
