@@ -51,8 +51,9 @@ def test_visits_that_agree_make_sure_and_one_that_does_not_leaves_doubt():
             belief.see(told(right, ahead, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
         sure.append(belief.odds(goal).item())
     assert sure[3] < sure[0] < sure[1] < sure[2] <= CLEAR
-    belief.most = sure[3] - 1
-    assert belief.odds(goal).item() == pytest.approx(sure[3] - 1)  # as of a photo, of which it is less sure
+    less = GoalBelief(1, most=sure[0] - 1)
+    less.see(told(2, 3, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
+    assert less.odds(goal).item() == pytest.approx(sure[0] - 1)  # as of a photo, of which it is less sure
 
 
 def test_far_away_nothing_is_told_but_that_the_goal_is_unlikely():
@@ -80,9 +81,9 @@ def test_where_the_goal_is_believed_to_lie_behind_an_exit_a_place_that_looks_lik
     odds = torch.tensor([[11.0, -9.0, -9.0, -9.0]])
     places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, lambda chosen: torch.ones(len(chosen), 4, 4))
     belief = GoalBelief(1)
-    belief.cells[0] = -10.0  # unlikely anywhere, here as well
+    belief.told[0] = -4.0  # unlikely anywhere, here as well
     assert memory.stops(places, belief).item()
-    belief.cells[0, REACH + 1, REACH] = 10.0  # but a move ahead
+    belief.told[0, REACH + 1, REACH] = CLEAR  # but a move ahead
     assert not memory.stops(places, belief).item()
 
 

@@ -51,17 +51,19 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     return lambda episode, ahead, view_ids, wanted: table.index_select(0, world.pair(wanted, ahead))
 
 
-def locating(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide | None:
-    """Return a function as `Decide`, but to where the goals lie, ``[B, S, S]``; None of a policy that does not tell."""
+def locating(policy: nn.Module) -> Callable[[Tensor, Tensor], Tensor] | None:
+    """Return a function from view ids of visits and goals, ``[P, 4]``, to where these lie; None if the policy has none.
+
+    See `dirl.models.policy.GoalLocator`.
+    """
     locator = getattr(policy, "locator", None)
     if locator is None:
         return None
     features: Any = policy.features
 
-    def locate(_: Tensor, ahead: Tensor, view_ids: Tensor, wanted: Tensor) -> Tensor:
-        shown = observe(world, observation, ahead, view_ids, wanted)["goal_view_ids"]
-        pairs = zip(view_ids.split(PAIRS_AT_ONCE), shown.split(PAIRS_AT_ONCE), strict=True)
-        return torch.cat([locator(features(seen), features(goal)) for seen, goal in pairs])
+    def locate(seen: Tensor, goal: Tensor) -> Tensor:
+        pairs = zip(seen.split(PAIRS_AT_ONCE), goal.split(PAIRS_AT_ONCE), strict=True)
+        return torch.cat([locator(features(visits), features(goals)) for visits, goals in pairs])
 
     return locate
 
@@ -159,8 +161,8 @@ class WorldTables:
     """True where agents stop; with a `LocalisingMemory` the log odds, a `ScoreFunction`."""
     scores: VisitScores | None = None
     """By which a memory recognises places."""
-    locate: Decide | None = None
-    """Where the goals lie, see `locating`."""
+    locate: Callable[[Tensor, Tensor], Tensor] | None = None
+    """Where goals lie, see `locating`."""
     around: Tensor | None = None
     """The states that are seen from each, clockwise, int64 ``[N, K]``; None = `World.surrounding`."""
     possible: Tensor | None = None
@@ -227,7 +229,7 @@ class AgentBatch:
     def goal_pooled(self) -> Tensor:
         """Pooled features of the goals that are shown."""
         world = self.known.world
-        return world.features[self.visit[:, :0] if self.known.sweeps else self._goal_view_ids(self.shown)]
+        return world.features[self.visit[:, :0] if self.known.sweeps else self._known_views(self.shown)]
 
     def alike(self, seen: Tensor) -> Tensor:
         """Compare the visit with earlier ones."""
@@ -257,9 +259,9 @@ class AgentBatch:
         """Where the goals that are shown lie, facing each view."""
         if self.known.locate is None or self.visit.shape[1] > VIEWS:
             return None
-        ahead, observation = self.visit.flatten(), self.known.observation
-        episode, shown = (rows.repeat_interleave(VIEWS) for rows in (self.episode, self.shown))
-        located = self.known.locate(episode, ahead, observation.reset_view_ids(ahead), shown)
+        seen = self.known.observation.reset_view_ids(self.visit).flatten(0, 1)
+        goal = self._goal_view_ids(self.shown).repeat_interleave(VIEWS, 0)
+        located = self.known.locate(seen, goal)
         return located.unflatten(0, self.visit.shape)
 
     def at_goal(self) -> Tensor:
@@ -281,14 +283,18 @@ class AgentBatch:
         """Return the log odds that visits see the goal facing each view."""
         scores = self.known.scores
         if visits.shape[2] > VIEWS and scores is not None and scores.whole is not None:
-            goal = self._goal_view_ids(self.wanted)
+            goal = self._known_views(self.wanted)
             if goal.shape[1] == VIEWS:  # a photo is compared with four views at a time
                 return scores.of_goal(goal, visits, place)
         return self.known.arrived(self.wanted[:, None, None], visits)
 
     def _goal_view_ids(self, wanted: Tensor) -> Tensor:
-        """Return the view ids of the goals' known views, see `Decide`, int64 ``[W, 4]``, or ``[W, 1]`` of a photo."""
+        """Return the view ids of the goals, see `Decide`, int64 ``[W, 4]``; of a photo, three are of no view."""
         world = self.known.world
         look, goal = wanted // len(world.goals), world.goals[wanted % len(world.goals)]
-        views = self.known.observation.goal_view_ids(goal + look * len(world))
-        return views[:, views[0] < len(world.features)]
+        return self.known.observation.goal_view_ids(goal + look * len(world))
+
+    def _known_views(self, wanted: Tensor) -> Tensor:
+        """Return the view ids of the goals' known views, int64 ``[W, 4]``, or ``[W, 1]`` of a photo."""
+        views = self._goal_view_ids(wanted)
+        return views[:, views[0] < len(self.known.world.features)]

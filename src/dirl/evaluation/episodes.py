@@ -183,7 +183,7 @@ class EvaluationProtocol:
                 decide=None if at_random else deciding(policy, world, observation, len(start)),
                 arrived=_arrived(world, self.stop),
                 scores=scores,
-                locate=locating(policy, world, observation),
+                locate=locating(policy),
                 around=world.panoramas() if self.panorama else None,
                 possible=world.possible if self.arrows else None,
                 sweeps=isinstance(policy, RandomPolicy),

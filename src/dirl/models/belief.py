@@ -42,6 +42,8 @@ class GoalBelief:
         """The sum of the log probabilities of all visits: ``[b, y, x]`` of the cell ``y - REACH`` moves ahead and
         ``x - REACH`` to the right of the start."""
         self.visits, self.most = 0, most
+        self.told = torch.zeros_like(self.cells)
+        """How much more likely the goal is in each cell than before anything was seen, a log ratio; as ``cells``."""
 
     def see(self, displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> None:
         """Add what a visit says of the goal.
@@ -56,20 +58,17 @@ class GoalBelief:
         for some in torch.arange(len(position), device=position.device).split(AGENTS_AT_ONCE):
             self.cells[some] += _from_the_start(displacement[some], position[some], heading[some], turns)
         self.visits += 1
+        posterior = (self.cells * self.visits ** (GROWTH - 1)).flatten(1).log_softmax(1).view_as(self.cells)
+        self.told = (posterior + math.log(ROOM)).clamp(-CLEAR, self.most)
 
     def odds(self, position: Tensor) -> Tensor:
-        """Return how much more likely the goal is at positions than before anything was seen, a log ratio.
-
-        Positions are float32 ``[B, P, 2]``, as those of visits; the result is float32 ``[B, P]``.
-        """
+        """Return ``told`` of positions, float32 ``[B, P, 2]`` as those of visits; float32 ``[B, P]``."""
         right, ahead = (position.round().long() + REACH).clamp(0, 2 * REACH).unbind(-1)
-        posterior = (self.cells * max(self.visits, 1) ** (GROWTH - 1)).flatten(1).log_softmax(1)
-        told = posterior.gather(1, ahead * (2 * REACH + 1) + right)
-        return (told + math.log(ROOM)).clamp(-CLEAR, self.most)
+        return self.told.flatten(1).gather(1, ahead * (2 * REACH + 1) + right)
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents, by mask or index."""
-        self.cells = self.cells[chosen]
+        self.cells, self.told = self.cells[chosen], self.told[chosen]
 
 
 def _from_the_start(displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> Tensor:
