@@ -1,5 +1,7 @@
 """Maps of recordings: where photos are found, what is linked, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hall import look, walk
@@ -180,21 +182,14 @@ def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, m
     assert np.array_equal(again.find(matcher, photo).scores, graph.find(matcher, photo).scores)
     with np.load(file) as stored:
         arrays = dict(stored)
-    damages = {
-        "links": np.array([[0, 99]]),
-        "field_of_view": np.float64(np.nan),
-        "times": np.full(len(graph), np.nan),
-        "counts": np.full(len(graph), -1, np.int16),
-        "vectors": graph.described.vectors.astype(float),
-        "kind": np.array("other"),
-    }
+    damages = {"links": np.array([[0, 99]]), "vectors": graph.described.vectors.astype(float)}
     for name, values in damages.items():
         np.savez(file, **arrays | {name: values})
-        with pytest.raises(MapError, match=f"is no map that can be read .*{name if name != 'kind' else 'other'}"):
+        with pytest.raises(MapError, match=r"is no map that can be read \(.*the digest differs"):
             load_frames_map(file)
-    np.savez(file, **arrays | {"vectors": graph.described.vectors[..., :9]})
+    narrow = replace(graph.described, vectors=graph.described.vectors[..., :9])
     with pytest.raises(MapError, match="are described in another way"):
-        load_frames_map(file).find(matcher, photo)
+        replace(graph, described=narrow).find(matcher, photo)
     np.savez(file, frames=np.zeros((2, 4, 4, 3), np.uint8))
     with pytest.raises(MapError, match="another version"):
         load_frames_map(file)

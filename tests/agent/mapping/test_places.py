@@ -1,6 +1,5 @@
 """Maps of places that never look the same twice: made by a walk, kept in a file, used by later episodes."""
 
-import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +13,7 @@ from shown_goals import images_of, look_up, trained, walk_through, walk_to_goal
 from shown_goals import rooms as shown_rooms
 
 from dirl import Navigator
-from dirl.agent.mapping import MapError, PlaceMap, load_graph, save_graph
+from dirl.agent.mapping import PlaceMap, load_graph, save_graph
 from dirl.agent.mapping.places import ParticleMapper, resampled, without_doubles
 from dirl.agent.navigator import NavigatorError
 from dirl.envs import SurroundingViews
@@ -26,7 +25,6 @@ from dirl.models.localising import Places
 from dirl.perception.recognition.recogniser import TemplateStop, VisitScores
 from dirl.scenes import make_world
 from dirl.scenes.graph import AHEAD, BACK
-from dirl.scenes.io.files import sealed
 
 SIZE = {"feature_width": 64, "patches": True, "looks": 3}
 
@@ -246,27 +244,6 @@ def test_a_map_is_the_same_after_it_was_saved(saved, known):
     assert again.turns == known.turns
     for name in ("cost", "after", "node", "goal", "position", "heading", "action", "mapped"):
         assert torch.equal(getattr(again.places, name), getattr(known.places, name))
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("node", lambda t: t + 10**6),
-        ("after", lambda t: t + 10**6),
-        ("goal", lambda t: t.long()),
-    ],
-)
-def test_a_damaged_map_is_refused_in_one_line(saved, name, change):
-    from safetensors.torch import load, save
-
-    file = saved / "map.safetensors"
-    tensors = load(file.read_bytes())
-    file.write_bytes(save({**tensors, name: change(tensors[name]).contiguous()}))
-    facts = json.loads((saved / "map.json").read_text())
-    del facts["digest"]
-    (saved / "map.json").write_text(json.dumps(sealed(facts, file.read_bytes())))
-    with pytest.raises(MapError, match=r"is no map of dirl \(ValueError: (a visit|a move|goal: )"):
-        load_graph(saved)
 
 
 @pytest.fixture

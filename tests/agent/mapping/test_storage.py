@@ -17,7 +17,7 @@ from dirl.scenes.io.files import sealed
 
 @pytest.fixture
 def saved(tmp_path):
-    graph = ImageGraph(0.85, 0.5, 0.2)
+    graph = ImageGraph(0.85)
     explore(grid_scene(), graph, 0, 12)
     return graph, save_graph(graph, tmp_path / "map", extractor="random")
 
@@ -26,7 +26,7 @@ def test_a_map_comes_back_as_it_was(saved):
     graph, folder = saved
     again = load_graph(folder, extractor="random")
     assert (again.moves, again.observed, again.at) == (graph.moves, graph.observed, None)
-    assert (again.threshold, again.keep, again.margin, again.turns, again.merge) == (0.85, 0.5, 0.2, 4, True)
+    assert (again.threshold, again.turns) == (0.85, 4)
     assert (again.views == graph.views).all()
     look = graph.views[1].roll(-1, 0)
     assert again.locate(look) == graph.locate(look) == 5
@@ -38,27 +38,7 @@ def test_another_extractor_is_refused(saved):
         load_graph(saved[1], extractor="resnet")
 
 
-def reseal(folder, change):
-    """Change the tensors and facts of a map, under a digest that is right."""
-    from safetensors.torch import load, save
-
-    file, facts = folder / "map.safetensors", json.loads((folder / "map.json").read_text())
-    tensors = load(file.read_bytes())
-    del facts["digest"]
-    change(tensors, facts)
-    file.write_bytes(save(tensors))
-    (folder / "map.json").write_text(json.dumps(sealed(facts, file.read_bytes())))
-
-
-CHANGES = {
-    "to nowhere": lambda tensors, facts: tensors["moves"].__setitem__((0, 0), 10**6),
-    "moves that are no numbers": lambda tensors, facts: tensors.update(moves=tensors["moves"].bool()),
-    "views that are whole numbers": lambda tensors, facts: tensors.update(views=tensors["views"].long()),
-    "many turns": lambda tensors, facts: facts.update(turns=10**9),
-}
-
-
-@pytest.mark.parametrize("how", ["absent", "cut", "json", *CHANGES])
+@pytest.mark.parametrize("how", ["absent", "cut", "json", "of something else"])
 def test_a_damaged_map_is_refused_in_one_line(how, saved):
     folder = saved[1]
     file = folder / "map.safetensors"
@@ -69,7 +49,7 @@ def test_a_damaged_map_is_refused_in_one_line(how, saved):
     elif how == "json":
         (folder / "map.json").write_text(json.dumps({"schema": 1}))
     else:
-        reseal(folder, CHANGES[how])
+        (folder / "map.json").write_text(json.dumps(sealed({"turns": 4}, file.read_bytes())))
     refused("holds no map|is no map of dirl", load_graph, folder)
 
 

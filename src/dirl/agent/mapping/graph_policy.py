@@ -85,7 +85,6 @@ class GraphMemory(TensorDictModuleBase):
         steps_per_state: length of the walk, in steps for each state of a scene.
         threshold: above this score two observations are of the same place and heading.
         seed: of the states where the walks begin.
-        merge: whether places are recognised; without it the map is a list of what was seen.
         recogniser: by which they are; correlation if left out. One with log odds has a threshold of its own.
     """
 
@@ -98,7 +97,6 @@ class GraphMemory(TensorDictModuleBase):
         steps_per_state: Annotated[float, Interval(ge=0, le=100)] = 2.0,
         threshold: Annotated[float, Interval(ge=-1, le=1)] = 0.9,
         seed: Annotated[int, Ge(0)] = 0,
-        merge: bool = True,
         recogniser: Any = None,
     ) -> None:
         super().__init__()
@@ -111,7 +109,7 @@ class GraphMemory(TensorDictModuleBase):
         actions, distances, size = [], [], 0
         for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
             count, goals = len(scene), world.local_goals(index).cpu()
-            graph = ImageGraph(least, turns=turns_per_circle(scene.graph), merge=merge, recogniser=recogniser)
+            graph = ImageGraph(least, turns=turns_per_circle(scene.graph), recogniser=recogniser)
             visits = described_visits(recogniser, world, index)[:count].cpu()
             start = int(torch.randint(count, (1,), generator=generator))
             explore(scene, graph, start, round(steps_per_state * count), visits.__getitem__)

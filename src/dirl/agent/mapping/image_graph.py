@@ -19,7 +19,10 @@ from dirl.perception.recognition.recogniser import Recogniser
 from dirl.scenes.graph import AHEAD, BACK, RIGHT
 
 KEEP, LIKELY = 0.6, 0.0
-"""See ``keep``."""
+"""Above this correlation, or these log odds, the node that was expected is believed."""
+
+MARGIN, ODDS_MARGIN = 0.1, 1.0
+"""If no other looks more alike by as much, likewise."""
 
 
 class MapError(NavigatorError):
@@ -32,44 +35,24 @@ class ImageGraph(Panoramas):
     Args:
         threshold: above this score two observations are of the same node; if left out 0.9, of log odds the
             recogniser's own for a memory. That of others is too low: one wrong merge spoils the map.
-        keep: above this one the expected node is believed, unless another looks more alike by ``margin``. If left out,
-            `KEEP` or the threshold, whichever is lower; of log odds `LIKELY`.
-        margin: see ``keep``; 0.1, of log odds 1.
         turns: right turns in a full circle.
-        merge: whether nodes are recognised; without it each step makes a new panorama, and the map is a list.
-        verify: whether a match is believed only after a move to a neighbour that matches too.
         recogniser: by which observations are compared; correlation if left out.
 
     Raises:
-        MapError: a threshold out of bounds.
+        MapError: a correlation that cannot be.
         NavigatorError: turns that are no multiple of four.
     """
 
-    def __init__(
-        self,
-        threshold: float | None = None,
-        keep: float | None = None,
-        margin: float | None = None,
-        turns: int = 4,
-        *,
-        merge: bool = True,
-        verify: bool = True,
-        recogniser: Recogniser | None = None,
-    ) -> None:
+    def __init__(self, threshold: float | None = None, turns: int = 4, *, recogniser: Recogniser | None = None) -> None:
         super().__init__(turns, recogniser)
         odds, own = self.recogniser.calibrated, self.recogniser.thresholds
         if threshold is None:
             threshold = own.memory if odds and own is not None else 0.9
-        keep = min(LIKELY if odds else KEEP, threshold) if keep is None else keep
-        margin = (1.0 if odds else 0.1) if margin is None else margin
-        if not keep <= threshold or not margin >= 0 or not (odds or (-1 <= keep <= threshold <= 1 and margin <= 2)):
-            raise MapError(
-                f"keep={keep:g}, threshold={threshold:g}, margin={margin:g}: expected -1 <= keep <= threshold <= 1 and "
-                "a margin of 0 to 2"
-            )
+        if not odds and not -1 <= threshold <= 1:
+            raise MapError(f"threshold={threshold:g}: expected a correlation, -1 to 1")
         check_turns(turns)
-        self.threshold, self.keep, self.margin = threshold, keep, margin
-        self.merge, self.verify = merge, verify
+        self.threshold, self.keep = threshold, min(LIKELY if odds else KEEP, threshold)
+        self.margin = ODDS_MARGIN if odds else MARGIN
         self.at: int | None = None
         """The node where the walker is; None before the first look and after `lose`."""
         self.doubt: Doubt | None = None
@@ -87,7 +70,7 @@ class ImageGraph(Panoramas):
             assert self.at is not None
             return self.at
         before = self.at
-        node = self.locate(views, action) if self.merge or action is None else None
+        node = self.locate(views, action)
         twins = None if node is None else self._possible_twins(views, action)
         if node is None and self._coast(action):
             node = self._expected(action)
@@ -190,7 +173,7 @@ class ImageGraph(Panoramas):
 
     def _coast(self, action: int | None) -> bool:
         """Return True if an observation that fits nowhere is ignored: the first after a move whose end is known."""
-        known = self.merge and action is not None and self._expected(action) != UNKNOWN
+        known = action is not None and self._expected(action) != UNKNOWN
         self._coasting = known and not self._coasting
         return self._coasting
 
@@ -201,7 +184,7 @@ class ImageGraph(Panoramas):
         known to be turned to from another one do not count.
         """
         before = self.at
-        if not self.verify or before is None or action is None or self.moves[before][action] != UNKNOWN:
+        if before is None or action is None or self.moves[before][action] != UNKNOWN:
             return None
         alike = self.alike(views)
         if action in (AHEAD, BACK):

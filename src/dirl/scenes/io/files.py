@@ -342,6 +342,15 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """Return a SHA-256 over arrays by their names, types, shapes and values, as hexadecimal digits."""
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
 def sealed(facts: Mapping[str, object], *contents: bytes) -> dict[str, object]:
     """Return facts to write as JSON, with a digest over them and the contents of other files of their folder."""
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
