@@ -23,7 +23,7 @@ from annotated_types import Ge, Interval
 
 from dirl.cli.start import check_writable, new_file, run, start
 from dirl.config.options import option
-from dirl.config.schemas import Correlation, Device, Match, NotNegative, Positive, Seed
+from dirl.config.schemas import Correlation, Device, Fraction, Match, Positive, Seed
 
 Pixels = Annotated[int, Interval(ge=16, le=4096)]
 FieldOfView = Annotated[float, Interval(ge=10, le=150)]
@@ -237,9 +237,9 @@ class BuildOptions(Encoded):
 class LookChanges:
     """How visits of a place differ."""
 
-    position: NotNegative = option("metres, along each axis", 0.05)
-    heading: NotNegative = option("degrees", 5.0)
-    exposure: NotNegative = option("of the logarithm of the brightness: 0.05 is about 5 %", 0.15)
+    position: Fraction = option("metres, along each axis", 0.05)
+    heading: Annotated[float, Interval(ge=0, le=45)] = option("degrees", 5.0)
+    exposure: Fraction = option("of the logarithm of the brightness: 0.05 is about 5 %", 0.15)
 
 
 @dataclass

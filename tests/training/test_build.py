@@ -1,9 +1,7 @@
 """From a configuration to the parts of a run; what does not fit together is one line."""
 
 import sys
-from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from commands import TINY, done, room_file, train_config
@@ -20,9 +18,7 @@ from dirl.models import FeatureTable, ObservationTable
 from dirl.models.build import build_policy
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import SceneError, write_dump
-from dirl.scenes.world import make_world
 from dirl.training.build import build_goals, build_world, learning_policy, load_trained
-from dirl.training.job import tell_of_far_goals
 
 SMALL = ["encoder.width=8", "heads.width=8"]
 
@@ -78,15 +74,6 @@ def test_principal_axes_are_used_where_there_are_no_more_states_than_features(
     ).policy
     assert isinstance(policy.features, ObservationTable) == principal
     assert (policy.cached.surrounding is not None) == (observation == "surrounding")
-
-
-def test_goals_that_few_states_reach_are_told(capsys):
-    room = grid_scene(goals=(0, 13))
-    graph = np.where(np.arange(len(room))[:, None] < 4, room.graph, np.where(room.graph < 4, -1, room.graph))
-    tell_of_far_goals(make_world([replace(room, graph=graph)]))
-    assert capsys.readouterr().out.endswith("whose success rates count those alone: 0 (from 4 of 24)\n")
-    tell_of_far_goals(make_world([room]))
-    assert not capsys.readouterr().out
 
 
 def test_a_machine_without_a_gpu_is_told(tmp_path, monkeypatch):

@@ -27,7 +27,6 @@ from dirl.runs.exits import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
 from dirl.scenes.io.files import read_text, write_json
 from dirl.scenes.live import SimulatorError
-from dirl.scenes.world import World
 from dirl.training.build import (
     build_demonstrations,
     build_env,
@@ -161,20 +160,8 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
-    tell_of_far_goals(world)
     before_reinforcement = run.saved is None or "imitation" in run.saved
     return Components(policy, demos, protocol, state, before_reinforcement)
-
-
-def tell_of_far_goals(world: World) -> None:
-    """Print a line for each scene with goals that most states cannot reach: their success rates say little."""
-    for index, scene in enumerate(world.scenes):
-        goals = zip(world.local_goals(index).tolist(), world.goals_of[index], strict=True)
-        reached = {goal: int((world.block(world.distances, number) >= 0).sum()) for goal, number in goals}
-        if few := [
-            f"{goal} (from {count} of {len(scene)})" for goal, count in reached.items() if 2 * count < len(scene)
-        ]:
-            print(f"{scene.name}: goals that few states reach, whose success rates count those alone: {', '.join(few)}")
 
 
 def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationProtocol) -> TrainState:

@@ -143,8 +143,6 @@ def make_rooms(
         SceneError: the rooms cannot be made, or a process was killed, perhaps because memory ran out.
     """
     check_arguments((settings.height, settings.width))
-    if not 0 <= settings.looks <= LOOK_SEEDS:
-        raise SceneError(f"looks={settings.looks}: must be 0 to {LOOK_SEEDS}")
     if settings.looks and settings.encoder is None:
         raise SceneError(f"looks={settings.looks}: their views are encoded and not stored; give an encoder")
     workers = workers or os.cpu_count() or 1
