@@ -18,11 +18,11 @@ import torch.nn.functional as F
 import vizdoom
 from mazes import CELL, Maze, draw_maze, write_mazes
 from numpy.typing import NDArray
+from sptm import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
 from torch import Tensor
 
 from dirl.cli.start import run, start
 from dirl.config.options import option
-from dirl.experiments.sptm import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
 from dirl.perception.columns import BEARING, COLUMNS, UNIT, ColumnNet, images_of
 
 Frames, Poses, Depths = NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]

@@ -1,8 +1,7 @@
-"""Write a table or figure of the paper from finished runs, the paper's numbers beside ours; or measure SPTM's mazes.
+"""Write a table or figure of the paper from finished runs, the paper's numbers beside ours.
 
     python recipes/train.py -m experiment=fig8 && python recipes/report.py experiment=fig8
     python recipes/report.py experiment=table2 preset=paper out=table2_paper
-    python recipes/report.py experiment=sptm folder=SPTM          # of no runs, but in the mazes of SPTM
 
 A report is a folder: README.md with the tables, CSV files with the value of every run, figures as PNG and SVG.
 All options: `Options` below.
@@ -15,24 +14,20 @@ from annotated_types import Ge
 
 from dirl.cli.start import run, start
 from dirl.config.options import option
-from dirl.config.schemas import ConfigError, ExperimentName, Positive, TrainConfig
+from dirl.config.schemas import ExperimentName, Positive, TrainConfig
 
 
 @dataclass
 class Options:
-    """Write a table or figure of the paper from finished runs, or measure SPTM's mazes."""
+    """Write a table or figure of the paper from finished runs."""
 
-    experiment: ExperimentName = option("of runs: table1 | table2 | fig4 | fig5 | fig6 | fig7 | fig8; of none: sptm")
+    experiment: ExperimentName = option("table1 | table2 | fig4 | fig5 | fig6 | fig7 | fig8")
     runs: str = option("the folder that recipes/train.py -m experiment=... wrote its runs to", "runs/experiments")
     preset: str = option("of the runs", "fast")
     out: str | None = option("a folder for the result; null = reports/<preset>/<experiment>", None)
     scene: str = option("of fig6, which looks at one scene only", "bathroom_02")
     goal: Annotated[int, Ge(0)] = option("the new goal of fig6, a state of the scene", 51)
     starts: Positive = option("of each new goal of fig5", 500)
-    folder: str | None = option("sptm: what github.com/nsavinov/SPTM was cloned to", None)
-    trials: Positive = option("sptm: of each start and goal", 6)
-    validation: bool = option("sptm: its three validation mazes instead of the seven for tests", False)
-    workers: Positive | None = option("sptm: processes; null = all cores", None)
 
 
 if __name__ == "__main__":
@@ -47,7 +42,6 @@ from dirl.experiments.efficiency import report_efficiency
 from dirl.experiments.new_goals import SYSTEMS, report_control, report_new_goals
 from dirl.experiments.performance import report_performance
 from dirl.experiments.results import Result, finished_runs
-from dirl.experiments.sptm import report_sptm
 from dirl.models.build import reads_patches
 from dirl.reporting.tables import scene_names
 from dirl.runs.checkpoints import RunError
@@ -56,15 +50,7 @@ from dirl.runs.checkpoints import RunError
 def main(options: Options) -> None:
     """Read the runs, measure what they did not, write the report."""
     out = Path(options.out or f"reports/{options.preset}/{options.experiment}")
-    if options.experiment == ExperimentName.sptm:
-        if options.folder is None or not (Path(options.folder) / "data").is_dir():
-            raise ConfigError(f"folder={options.folder}: name a folder that github.com/nsavinov/SPTM was cloned to")
-        text = report_sptm(
-            Path(options.folder), options.trials, out, validation=options.validation, workers=options.workers
-        )
-    else:
-        text = write(options, chosen(options), out)
-    print(text)
+    print(write(options, chosen(options), out))
     print(f"report: {out}")
 
 

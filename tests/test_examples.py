@@ -129,6 +129,7 @@ def test_messages_of_cameras_become_pixels(ros2):
         "measure_turns",
         "other_cameras",
         "phone_photos",
+        "sptm",
         "train_columns",
         "train_locator",
         "walk_miniworld",

@@ -13,11 +13,10 @@ from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
 from dirl.runs.checkpoints import RunError, Summary, finished_folders, load_checkpoint
-from dirl.scenes.io.files import atomic_path, read_text, write_json, write_text
+from dirl.scenes.io.files import atomic_path, read_text, write_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.build import Trained, load_trained
 
-T = TypeVar("T")
 K = TypeVar("K")
 
 NAMES = {
@@ -169,12 +168,3 @@ def write_tables(out: Path, title: str, note: str, tables: Mapping[str, Table], 
     text = "\n\n".join(parts) + "\n"
     write_text(out / "README.md", text)
     return text
-
-
-def kept(file: Path, measure: Callable[[], T]) -> T:
-    """Return what a JSON file holds; if there is none yet, it is measured and written."""
-    if not file.exists():
-        result = measure()
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(file, result)
-    return json.loads(read_text(file))

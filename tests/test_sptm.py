@@ -6,11 +6,9 @@ from pathlib import Path
 import mazes
 import numpy as np
 import pytest
+import sptm
 from refusals import refused
-
-from dirl.agent.mapping.guide import Guide
-from dirl.experiments import sptm
-from dirl.experiments.sptm import (
+from sptm import (
     AHEAD,
     IDLE,
     STARTS,
@@ -24,6 +22,8 @@ from dirl.experiments.sptm import (
     random_walker,
     walk,
 )
+
+from dirl.agent.mapping.guide import Guide
 
 SETTINGS = """screen_resolution = RES_160X120
 render_hud = false

@@ -1,12 +1,18 @@
 """The protocol of SPTM (Savinov et al., ICLR 2018, arXiv 1803.00653): from a human's walkthrough of a maze to goals.
 
-Mazes, walkthroughs and recordings of goals are those of github nsavinov/SPTM (MIT), folder ``data``.
+    python examples/sptm.py folder=SPTM                     # a clone of github nsavinov/SPTM (MIT)
+    python examples/sptm.py folder=SPTM validation=true     # the three mazes that settings were chosen in
+
+Mazes, walkthroughs and recordings of goals are those of the clone's folder ``data``. The result is a folder: README.md
+with a table, and a CSV file.
 """
 
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -18,8 +24,12 @@ from tqdm import tqdm
 
 from dirl.agent.mapping.frames import FrameMap, find_links, map_recordings
 from dirl.agent.mapping.guide import Guidance, Guide
-from dirl.experiments.results import Table, kept, write_tables
+from dirl.cli.start import run, start
+from dirl.config.options import option
+from dirl.config.schemas import ConfigError, Positive
+from dirl.experiments.results import Table, write_tables
 from dirl.perception.columns import load_column_net
+from dirl.scenes.io.files import read_text, write_json
 from dirl.scenes.io.processes import end_with_this_process, in_processes
 from dirl.scenes.live import simulator_errors
 from dirl.scenes.scene import SceneError
@@ -53,6 +63,18 @@ SAME_VIEW = 1.5
 """Mean difference of grey values between frames, when a move was stopped by a wall."""
 
 MEMORY, BLIND, RANDOM = "memory of the walkthrough", "the memory, to a random frame", "random walk"
+
+
+@dataclass
+class Options:
+    """The protocol of SPTM: from a human's walkthrough of a maze to goals."""
+
+    folder: str = option("what github.com/nsavinov/SPTM was cloned to")
+    trials: Positive = option("of each start and goal", 6)
+    validation: bool = option("its three validation mazes instead of the seven for tests", False)
+    workers: Positive | None = option("processes; null = all cores", None)
+    out: str = option("a folder for the result; what is finished there is not walked again", "reports/sptm")
+
 
 Walker = Callable[[NDArray[np.uint8]], int]
 
@@ -266,16 +288,25 @@ def walk_maze(data: Path, maze: Maze, name: str, trials: int) -> list[tuple[bool
         recordings.close()
         graph = map_walkthrough(frames)
     game, episodes = Game(data, maze), []
-    for trial, start, goal in product(range(trials), STARTS, range(len(GOALS))):
-        seed = 1000 * trial + 10 * STARTS.index(start) + goal
+    for trial, begin, goal in product(range(trials), STARTS, range(len(GOALS))):
+        seed = 1000 * trial + 10 * STARTS.index(begin) + goal
         if graph is None:
             walker = random_walker(seed)
         else:
             anywhere = frames[::SKIP][np.random.default_rng(seed).integers(len(graph))]
             walker = Player(Guide(graph, [photos[goal] if name == MEMORY else anywhere], net), seed).act
-        episodes.append(walk(game, start, maze.goals[goal], walker))
+        episodes.append(walk(game, begin, maze.goals[goal], walker))
     game.close()
     return episodes
+
+
+def kept(file: Path, measure: Callable[[], list[tuple[bool, int]]]) -> list[tuple[bool, int]]:
+    """Return what a JSON file holds; if there is none yet, it is measured and written."""
+    if not file.exists():
+        episodes = measure()
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(file, episodes)
+    return json.loads(read_text(file))
 
 
 def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = False, workers: int | None = None) -> str:
@@ -318,3 +349,18 @@ def report_sptm(folder: Path, trials: int, out: Path, *, validation: bool = Fals
 def _measures(episodes: list[tuple[bool, int]]) -> tuple[float, float | None, int]:
     steps = [count for reached, count in episodes if reached]
     return len(steps) / len(episodes), float(np.median(steps)) if steps else None, len(episodes)
+
+
+def main(options: Options) -> None:
+    """Walk, and print the table."""
+    folder = Path(options.folder)
+    if not (folder / "data").is_dir():
+        raise ConfigError(f"folder={options.folder}: name a folder that github.com/nsavinov/SPTM was cloned to")
+    out = Path(options.out)
+    print(report_sptm(folder, options.trials, out, validation=options.validation, workers=options.workers))
+    print(f"report: {out}")
+
+
+if __name__ == "__main__":
+    options = start(__doc__, Options)
+    run(lambda: main(options))
