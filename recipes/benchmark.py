@@ -3,9 +3,9 @@
     python recipes/benchmark.py out=benchmark.json
     python recipes/benchmark.py 'worlds=[kitchen_02]' "train=['reinforcement.agents_per_scene=400']"
 
-Training is ``reinforce`` of recipes/train.py unchanged. It is compared with stock TorchRL
-(dirl.experiments.other_loops). Both run alternately, so that other load on the machine affects both; medians are
-shown. The limit is the machine's throughput of float32 matrix products. All options: `Options` below.
+Training is ``reinforce`` of recipes/train.py unchanged. It is compared with stock TorchRL (`stock_torchrl` below). Both
+run alternately, so that other load on the machine affects both; medians are shown. The limit is the machine's
+throughput of float32 matrix products. All options: `Options` below.
 """
 
 from dataclasses import dataclass
@@ -41,21 +41,31 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch.distributions import Categorical
+from torch.nn.utils import clip_grad_norm_
 from torch.utils.flop_counter import FlopCounterMode
+from torchrl.collectors import Collector
+from torchrl.envs import Compose, EnvBase, RewardScaling, StepCounter, TransformedEnv
+from torchrl.modules import ActorValueOperator, ProbabilisticActor
+from torchrl.objectives import A2CLoss
+from torchrl.objectives.value import GAE
 from tqdm import tqdm
 from train import reinforce, train
 
 from dirl.cli.parsing import compose_training
-from dirl.config.components import check_components
+from dirl.config.components import check_components, make
 from dirl.config.files import typed
-from dirl.experiments.other_loops import stock_torchrl
+from dirl.envs import NavigationEnv, Reward, SurroundingViews, ViewFeatures
 from dirl.experiments.results import Table
 from dirl.models import caching
+from dirl.models.build import build_policy, feature_table
 from dirl.runs.folder import Run, peak_memory_mb
 from dirl.scenes.io.files import write_json
 from dirl.training.build import build_world
 from dirl.training.job import Components, build_components
 from dirl.training.loops import TrainState
+from dirl.training.objectives import trained_parameters
 from dirl.training.rollout import collect
 
 SLOW = 20
@@ -167,6 +177,60 @@ def rollout(config: TrainConfig, updates: int) -> float:
             batch, agents = collect(state.env, operator, agents, config.reinforcement.n_steps)
         frames += batch.numel()
     return frames / (time.perf_counter() - began)
+
+
+def stock_torchrl(config: TrainConfig, updates: int) -> float:
+    """Frames per second of TorchRL's A2C examples: collector, features as keys, GAE and loss with passes of their own.
+
+    Its batches and network are ours; there is no imitation in it. The set-up is not counted.
+    """
+    options, world = config.reinforcement, build_world(config)
+    agents, table = options.agents_per_scene * len(world.scenes), feature_table(config, world)
+    network = build_policy(config, table, world.names, world=world)
+    trunk = TensorDictSequential(
+        TensorDictModule(network.encoder, ["observation", "goal_observation"], ["fused"]),
+        TensorDictModule(network.heads.trunk, ["fused", "scene"], ["hidden"]),
+    )
+    actor = ProbabilisticActor(
+        TensorDictModule(network.heads.policy, ["hidden", "scene"], ["logits"]),
+        in_keys=["logits"],
+        distribution_class=Categorical,
+        return_log_prob=True,
+    )
+    critic = TensorDictModule(network.heads.value, ["hidden", "scene"], ["state_value"])
+    operator = ActorValueOperator(trunk, actor, critic)
+    policy, value = operator.get_policy_operator(), operator.get_value_operator()
+    gae = GAE(gamma=options.gamma, lmbda=options.lmbda, value_network=value, deactivate_vmap=True)
+    loss = A2CLoss(policy, value, entropy_coeff=options.entropy_coef.start, critic_coeff=options.critic_coef)
+    optimiser = make("optimiser", config.optimiser, config.trust, params=trained_parameters(loss))
+
+    def make_env() -> EnvBase:
+        reward = Reward(config.reward.goal, config.reward.step, config.reward.collision)
+        scaled = RewardScaling(loc=0.0, scale=config.reward.scale)
+        seen = SurroundingViews(world), ViewFeatures(table.known)
+        transforms = Compose(StepCounter(options.max_steps), scaled, *seen)
+        return TransformedEnv(NavigationEnv(world, agents, reward=reward), transforms)
+
+    collector = Collector(
+        make_env,
+        policy,
+        frames_per_batch=agents * options.n_steps,
+        total_frames=agents * options.n_steps * (updates + 1),
+        auto_register_policy_transforms=False,
+    )
+    began = 0.0
+    for update, batch in enumerate(collector):
+        if update == 1:  # the first one warms up
+            began = time.perf_counter()
+        with torch.no_grad():
+            gae(batch)
+        result = loss(batch.reshape(-1))
+        optimiser.zero_grad()
+        sum(value for key, value in result.items() if key.startswith("loss_")).backward()
+        clip_grad_norm_(loss.parameters(), options.max_grad_norm)
+        optimiser.step()
+    collector.shutdown()
+    return updates * agents * options.n_steps / (time.perf_counter() - began)
 
 
 def learning(config: TrainConfig) -> dict[str, float]:

@@ -38,7 +38,7 @@ from dirl.config.files import names
 from dirl.config.schemas import ConfigError
 from dirl.perception.matching import FrameMatcher
 from dirl.reporting.map_page import write_mcap, write_page
-from dirl.reporting.strips import draw_strip
+from dirl.reporting.sheets import draw_sheet
 from dirl.scenes.io.files import write_json
 from dirl.sources.video import Recording, read_photo
 
@@ -79,7 +79,7 @@ def main(options: Options) -> None:
     for move in moves:
         print(f"| {move} | {move.frame} |")
     shown = [path[place] for place in np.unique(np.linspace(0, len(path) - 1, SHOWN).round().astype(int))]
-    draw_strip([(f"frame {node}", graph.picture(node)) for node in shown], Path(options.out))
+    draw_sheet([(f"frame {node}", graph.picture(node)) for node in shown], Path(options.out), ends=True)
     print(f"picture: {options.out}")
     listed = Path(options.out).with_suffix(".json")
     write_json(listed, describe_way(graph, path, moves, goal, here))

@@ -30,7 +30,7 @@ from campaign import in_a_fork
 
 from dirl.agent.mapping.frames import FrameMap, load_frames_map
 from dirl.perception.matching import Described
-from dirl.reporting.strips import draw_strip
+from dirl.reporting.sheets import draw_sheet
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.io.files import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos
@@ -172,7 +172,7 @@ def pictures_of_a_map(file):
 
 def draw(file):
     graph = load_frames_map(file)
-    draw_strip([(f"{frame}", graph.picture(frame)) for frame in range(len(graph))], file.with_suffix(".png"))
+    draw_sheet([(f"{frame}", graph.picture(frame)) for frame in range(len(graph))], file.with_suffix(".png"))
 
 
 def mcap(_):

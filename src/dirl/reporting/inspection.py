@@ -7,17 +7,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from PIL import Image, ImageDraw
+from PIL import Image
 
+from dirl.reporting.sheets import LINE, draw_sheet
 from dirl.reporting.style import draw_room, marker, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
-from dirl.scenes.io.files import atomic_path
 from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
 
 MAX_THUMBNAILS = 720
-THUMBNAIL, LABEL, GAP = 96, 14, 4
-"""Pixels: the width of a view on the contact sheet, the height of the line above a place, between places."""
+THUMBNAIL = 96
+"""Pixels: the width of a view on the contact sheet."""
 
 MAP_SIZE = 6.0
 """Inches, the longer side."""
@@ -89,17 +89,11 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
     rows, columns, _ = scene.views[0].shape
     height = max(1, round(THUMBNAIL * rows / columns))
     # The headings of a place are side by side; the sheet is about as wide as high.
-    block = turns * (THUMBNAIL + 1) + GAP
-    line = height + LABEL + GAP
-    across = max(1, round(math.sqrt(len(groups) * line / block)))
-    down = math.ceil(len(groups) / across)
-    sheet = Image.new("RGB", (across * block + GAP, down * line + GAP), "white")
-    draw = ImageDraw.Draw(sheet)
-    for number, states in enumerate(groups):
-        left, top = GAP + number % across * block, GAP + number // across * line
-        draw.text((left, top - 1), f"{states[0]}", fill="black")
-        for turn, state in enumerate(states):
-            view = Image.fromarray(scene.views[int(state)]).resize((THUMBNAIL, height), Image.Resampling.BOX)
-            sheet.paste(view, (left + turn * (THUMBNAIL + 1), top + LABEL))
-    with atomic_path(file) as temporary:
-        sheet.save(temporary, quality=85)
+    across = max(1, round(math.sqrt(len(groups) * (height + LINE) / (turns * THUMBNAIL))))
+    pictures = []
+    for states in groups:
+        views = (Image.fromarray(scene.views[int(state)]) for state in states)
+        small = [np.asarray(view.resize((THUMBNAIL, height), Image.Resampling.BOX)) for view in views]
+        apart = [np.pad(view, ((0, 0), (0, 1), (0, 0)), constant_values=255) for view in small]
+        pictures.append((f"{states[0]}", np.concatenate(apart, 1)))
+    draw_sheet(pictures, file, columns=across)

@@ -8,7 +8,7 @@ from PIL import Image
 from dirl.sources.rooms.description import Piece, RoomDescription, Size
 from dirl.sources.rooms.layout import assemble_pieces, place_of
 from dirl.sources.rooms.mesh import Array, Part
-from dirl.sources.rooms.walkable import Walk, clearance, footprints, walk
+from dirl.sources.rooms.walkable import Walk, clearance, footprints, free_points, walk
 
 BLANK = 8.0
 """A view whose grey values have a smaller standard deviation (of 255) is nearly blank."""
@@ -50,13 +50,7 @@ def check_room(room: RoomDescription) -> list[str]:
             start, end = door_strip(piece, room.size)
             if clearance(start[None], end[None], solid)[0] < DOOR_SPACE / 2 - MARGIN:
                 problems.append(f"{where}: less than {DOOR_SPACE} m in front of it are free")
-    # The places are compared with all free points of the grid.
-    steps = [np.arange(start, end, room.grid.step) for start, end in zip(room.grid.origin, room.size[:2], strict=True)]
-    points = np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2)
-    radius = room.grid.radius
-    indoors = ((points >= radius) & (points <= np.array(room.size[:2]) - radius)).all(1)
-    free = int((indoors & (clearance(points, points, solid) >= radius)).sum())
-    places = len(walk(room).places)
+    places, free = len(walk(room).places), len(free_points(room)[0])
     if places < COVERED * free:
         problems.append(f"[grid] only {places} of {free} free points can be reached from each other")
     return problems

@@ -108,8 +108,8 @@ def walk(room: RoomDescription, turn: float = 90) -> Walk:
     return Walk(points, headings, graph)
 
 
-def _places(room: RoomDescription) -> tuple[IntArray, Array]:
-    """Return the grid cells ``[P, 2]`` and points ``[P, 2]`` of the largest connected group of free points."""
+def free_points(room: RoomDescription) -> tuple[IntArray, Array]:
+    """Return the grid cells, int64 ``[F, 2]``, and points, metres, ``[F, 2]``, where the agent can stand."""
     grid = room.grid
     if grid.step <= 0 or max(room.size[:2]) / grid.step > 1000:
         raise SceneError(f"[grid] step: expected at least a thousandth of the room's length, found {grid.step:g}")
@@ -119,7 +119,12 @@ def _places(room: RoomDescription) -> tuple[IntArray, Array]:
     cells = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 2)
     points = cells * grid.step + grid.origin
     free = _free(points, points, room)
-    cells, points = cells[free], points[free]
+    return cells[free], points[free]
+
+
+def _places(room: RoomDescription) -> tuple[IntArray, Array]:
+    """Return the grid cells ``[P, 2]`` and points ``[P, 2]`` of the largest connected group of free points."""
+    grid, (cells, points) = room.grid, free_points(room)
     if not len(cells):
         raise SceneError("there is no place where the agent can stand; see [grid] and the furniture")
     a, b = np.concatenate([_steps(cells, points, np.array(way), room) for way in ((1, 0), (0, 1))], 1)
