@@ -128,11 +128,7 @@ class TurnCheck:
 
 
 def map_to_walk_on(
-    known: ImageGraph | PlaceMap | None,
-    turns: int | None,
-    memory: object,
-    recogniser: Recogniser,
-    threshold: float,
+    known: ImageGraph | PlaceMap | None, turns: int | None, memory: object, recogniser: Recogniser, threshold: float
 ) -> ImageGraph | ParticleMapper:
     """Return the map of a walk, a new one or one that is known; see `dirl.Navigator.explore`."""
     if turns is not None:

@@ -94,11 +94,7 @@ def _remember(memory: TensorDictModuleBase, width: int) -> Tensor:
 
 
 def feature_table(
-    config: TrainConfig,
-    world: World,
-    weights: Mapping[str, Tensor] | None = None,
-    origin: str = "init",
-    room: int = 0,
+    config: TrainConfig, world: World, weights: Mapping[str, Tensor] | None = None, origin: str = "init", room: int = 0
 ) -> FeatureTable:
     """Return the features of the world's states, standardised or whitened as configured.
 

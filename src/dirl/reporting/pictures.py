@@ -31,13 +31,7 @@ SMOOTH = 3
 
 
 def draw_scene(
-    policy: nn.Module,
-    protocol: EvaluationProtocol,
-    index: int,
-    folder: Path,
-    *,
-    matching: TemplateStop,
-    facts: Summary,
+    policy: nn.Module, protocol: EvaluationProtocol, index: int, folder: Path, *, matching: TemplateStop, facts: Summary
 ) -> None:
     """Draw a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy.
 

@@ -18,12 +18,7 @@ from dirl.scenes.io.files import read_text
 FEW = 4
 """Runs of which there is no spread to tell."""
 
-SPREAD = {
-    "SR": ("greedy", "sr"),
-    "SPL": ("greedy", "spl"),
-    "ATL": ("greedy", "atl"),
-    "stable at": ("stable_at_frame",),
-}
+SPREAD = {"SR": ("greedy", "sr"), "SPL": ("greedy", "spl"), "ATL": ("greedy", "atl"), "stable at": ("stable_at_frame",)}
 """What of a summary its spread is told of, and where it stands."""
 
 

@@ -46,13 +46,7 @@ FloatArray = NDArray[np.floating]
 
 
 def draw_trajectories(
-    scene: Scene,
-    goal: int,
-    paths: Sequence[Sequence[int]],
-    file: Path,
-    *,
-    success: Sequence[bool],
-    title: str,
+    scene: Scene, goal: int, paths: Sequence[Sequence[int]], file: Path, *, success: Sequence[bool], title: str
 ) -> None:
     """Draw paths to one goal on the map of the room, and the views along the first of them, as a PNG.
 
@@ -95,12 +89,7 @@ def draw_trajectories(
 
 
 def draw_paths(
-    policy: nn.Module,
-    protocol: EvaluationProtocol,
-    index: int,
-    file: Path,
-    *,
-    facts: Summary,
+    policy: nn.Module, protocol: EvaluationProtocol, index: int, file: Path, *, facts: Summary
 ) -> tuple[int, list[int], bool, str]:
     """Draw greedy episodes to a scene's first goal, as `draw_scene` does.
 

@@ -9,15 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.scenes.errors import SceneError as SceneError  # where all look for it
-from dirl.scenes.graph import (
-    AHEAD,
-    RIGHT,
-    GraphError,
-    IntArray,
-    check_graph,
-    shortest_distances,
-    surrounding_states,
-)
+from dirl.scenes.graph import AHEAD, RIGHT, GraphError, IntArray, check_graph, shortest_distances, surrounding_states
 from dirl.scenes.views import FileViews, Views, check_image
 
 A = TypeVar("A", bound=np.ndarray)

@@ -49,12 +49,7 @@ from dirl.scenes import Scene, SceneError, load_scenes
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
 from dirl.scenes.world import Goals, World, make_world
-from dirl.training.objectives import (
-    ImitationLoss,
-    Losses,
-    ScheduledLoss,
-    trained_parameters,
-)
+from dirl.training.objectives import ImitationLoss, Losses, ScheduledLoss, trained_parameters
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 

@@ -343,11 +343,7 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
     total = runs[0].config.reinforcement.frames_per_scene * len(protocols[0].world.scenes)
     frames = members[0].frames
     bar = tqdm(
-        total=total * len(runs),
-        initial=frames * len(runs),
-        unit=" frames",
-        unit_scale=True,
-        mininterval=BAR_SECONDS,
+        total=total * len(runs), initial=frames * len(runs), unit=" frames", unit_scale=True, mininterval=BAR_SECONDS
     )
     state.left.fill_(1 - frames / total)
     with interruptible() as signals, bar:

@@ -44,10 +44,7 @@ def open_live(config: TrainConfig, world: World, observation: SurroundingViews) 
     for refused, reason in (
         (len(world.scenes) > 1, "one simulator is one scene; name it: scene=..."),
         (world.looks > 1, "the scene has several looks; a simulator has its own"),
-        (
-            type(observation) is not SurroundingViews,
-            "agents see four views around them; use observation=surrounding",
-        ),
+        (type(observation) is not SurroundingViews, "agents see four views around them; use observation=surrounding"),
         (options.workers > 1, "one simulator serves all agents; use reinforcement.workers=1"),
         (config.imitation.rounds > 0, "labels of DAgger outlive the views they were given to; use imitation.rounds=0"),
         (config.stop.training != Stop.goal, "agents are stopped by their poses; use stop.training=goal"),

@@ -68,11 +68,7 @@ class Encoded(NamedTuple):
 
 
 def load_encoder(
-    name: str = "resnet50",
-    device: str | torch.device = "cpu",
-    *,
-    patches: bool = False,
-    fine_patches: bool = False,
+    name: str = "resnet50", device: str | torch.device = "cpu", *, patches: bool = False, fine_patches: bool = False
 ) -> ViewEncoder:
     """Load the encoder that a user names.
 

@@ -179,12 +179,7 @@ class View:
 
 
 def take_views(
-    renderer: Renderer,
-    camera: Camera,
-    poses: Sequence[Pose],
-    size: tuple[int, int],
-    *,
-    threads: int | None = None,
+    renderer: Renderer, camera: Camera, poses: Sequence[Pose], size: tuple[int, int], *, threads: int | None = None
 ) -> Iterator[View]:
     """Yield the views from all poses, in their order; ``size`` is height and width in pixels.
 

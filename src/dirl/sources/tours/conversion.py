@@ -62,12 +62,7 @@ class Converted:
 
 
 def tour_scene(
-    tour: Tour,
-    *,
-    headings: int = 8,
-    step: float = 2.0,
-    name: str | None = None,
-    compare_images: bool = True,
+    tour: Tour, *, headings: int = 8, step: float = 2.0, name: str | None = None, compare_images: bool = True
 ) -> Converted:
     """Return the scene of a tour.
 
