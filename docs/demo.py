@@ -385,7 +385,7 @@ def take_photos(name: str, scene: Any, folder: Path) -> None:
 def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path) -> str:
     """The page of a place with the agent's episodes there; its features and what else the browser needs are written."""
     from dirl.config.files import goal_view_options, group_options
-    from dirl.perception.backbones import encode_scene, load_encoder
+    from dirl.perception.backbones import encode_all, load_encoder
     from dirl.perception.recognition.recogniser import NCC, described_visits, matching
     from dirl.reporting import viewer_pages
     from dirl.runs.checkpoints import load_checkpoint, packaged_agent
@@ -398,7 +398,9 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     encoder = load_encoder(ENCODER, patches=True)
     scene = load_scenes(str(file))[0]
     take_photos(name, scene, folder)
-    encoded, dump = encode_scene(scene, encoder), folder / f"{name}.encoded.h5"
+    assert scene.views is not None
+    encoded = encode_all(encoder, map(scene.views.__getitem__, range(len(scene))), len(scene), scene.origin)
+    dump = folder / f"{name}.encoded.h5"
     made = replace(scene, features=encoded.features, patches=encoded.patches, along=None, extractor=encoder.extractor)
     views = (encoded_view(scene.views, state) for state in range(len(scene)))
     write_dump(dump, made, views, feature_attributes=encoder.attributes, patch_attributes=encoder.patch_attributes)

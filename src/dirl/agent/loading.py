@@ -56,10 +56,12 @@ def load_parts(
     if len(order) != VIEWS:
         raise NavigatorError(f"{origin}: was trained on {len(order)} views; a navigator takes {VIEWS}")
     scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
-    policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched_view(config, order))
+    sequential = order[-1] == "now"  # only the newest view is from where the agent is now
+    matched = VIEWS - 1 if sequential else 0 if config.stop.match == Match.front else None
+    policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched)
     memory = make("episodic_memory", config.episodic_memory, trust)
     set_memory_threshold(memory, recognises)
-    if memory is not None and order[-1] == "now":
+    if memory is not None and sequential:
         raise NavigatorError(
             f"{origin}: an episodic memory recognises places by surrounding views; this policy sees others"
         )
@@ -146,13 +148,6 @@ def choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str |
     if scene is not None and scene not in scenes:
         raise NavigatorError(f"the checkpoint was not trained in '{scene}'; choose from {scenes}")
     return None if shared else (scene or scenes[0])
-
-
-def matched_view(config: TrainConfig, order: list[str]) -> int | None:
-    """Return the index of the view that is matched with the goal's; None for all four."""
-    if order[-1] == "now":
-        return VIEWS - 1  # the newest, the only one from where the agent is now
-    return 0 if config.stop.match == Match.front else None
 
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:

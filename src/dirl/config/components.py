@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from dirl.config.schemas import ConfigError, Schedule, TrainConfig
 
 if TYPE_CHECKING:
-    from pydantic import ValidationError
+    pass
 
 TARGET = "_target_"
 
@@ -316,14 +316,10 @@ def check_value(name: str, value: object, annotation: Any) -> None:
     except PydanticUserError:  # the annotation has a name that is only imported for type checkers
         return
     except ValidationError as error:
-        raise ConfigError(f"{name}={'null' if value is None else value}: {first_error(error)}") from None
-
-
-def first_error(error: "ValidationError") -> str:
-    """Return the first error of a validation in one line: where in the value it is, and what must be there."""
-    first = error.errors(include_url=False, include_input=False)[0]
-    if first["type"] == "needs_python_object":
-        return "must be an object of Python, which no option can be"
-    where = "".join(f"[{part}]: " if isinstance(part, int) else f"{part}: " for part in first["loc"])
-    what = first["msg"].replace("Input should", "must").replace("Field required", "is missing")
-    return " ".join(f"{where}{what}".split())  # keys of a file can have more than one line
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = "".join(f"[{part}]: " if isinstance(part, int) else f"{part}: " for part in first["loc"])
+        what = first["msg"].replace("Input should", "must").replace("Field required", "is missing")
+        if first["type"] == "needs_python_object":
+            where, what = "", "must be an object of Python, which no option can be"
+        told = " ".join(f"{where}{what}".split())  # keys of a file can have more than one line
+        raise ConfigError(f"{name}={'null' if value is None else value}: {told}") from None

@@ -89,7 +89,11 @@ def read_config(
         ConfigError: it is not one of this version, names an untrusted package, or a change is invalid.
     """
     try:
-        trust = [*trust, *_named_by_user(changes or {})]
+        named = [
+            str(value[TARGET]) for value in (changes or {}).values() if isinstance(value, Mapping) and value.get(TARGET)
+        ]
+        own = [target.partition(".")[0] for target in named if target not in PUBLIC and not target.startswith("dirl.")]
+        trust = [*trust, *own]  # the user names these
         values = plain_mapping(text) | {"resume": None, "trust": trust}
         for name, value in (changes or {}).items():
             _replace(values, name, value)
@@ -129,12 +133,6 @@ def plain_mapping(text: str) -> dict[str, Any]:
     if "${" in str(values):
         raise ConfigError("it has an interpolation, ${...}, which is not resolved in a file")
     return values
-
-
-def _named_by_user(changes: Mapping[str, object]) -> list[str]:
-    """Return the packages of the classes that changes name."""
-    named = [str(value[TARGET]) for value in changes.values() if isinstance(value, Mapping) and value.get(TARGET)]
-    return [target.partition(".")[0] for target in named if target not in PUBLIC and not target.startswith("dirl.")]
 
 
 def _replace(values: dict[str, Any], name: str, value: object) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import EngFormatter
 
-from dirl.config.schemas import TrainConfig
 from dirl.evaluation.protocol import NEAR, STABLE_ATL, WINDOW
 from dirl.experiments.figures import band, panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
@@ -89,7 +88,8 @@ def _settings(
                 yield NAMES[system], runs, paper.get(system), True
         return
     if experiment == "fig7":
-        for views, runs in grouped(results, views_of).items():
+        for kind, runs in grouped(results, lambda config: config.observation["_target_"]).items():
+            views = kind.rpartition(".")[2].removesuffix("Views").lower()  # surrounding or sequential
             yield f"{views} views", runs, paper[views], True
         return
     settings = grouped(results, lambda config: (config.imitation.fraction, str(config.imitation.rule)))
@@ -122,8 +122,3 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
     axes.xaxis.set_major_formatter(EngFormatter())
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     save_figure(figure, out, name)
-
-
-def views_of(config: TrainConfig) -> str:
-    """Return ``surrounding`` or ``sequential``."""
-    return config.observation["_target_"].rpartition(".")[2].removesuffix("Views").lower()

@@ -12,7 +12,7 @@ from dirl.config.files import read_config
 from dirl.config.schemas import TrainConfig
 from dirl.reporting.statistics import FloatArray, summarised
 from dirl.reporting.tables import read_columns
-from dirl.runs.checkpoints import RunError, Summary, finished_folders, load_checkpoint
+from dirl.runs.checkpoints import CONFIG_FILE, RunError, Summary, is_finished, load_checkpoint
 from dirl.scenes.io.files import atomic_path, read_text, write_text
 from dirl.scenes.palette import SYSTEM_COLORS
 from dirl.training.build import Trained, load_trained
@@ -71,17 +71,17 @@ def finished_runs(folder: Path, hint: str) -> list[Result]:
     Raises:
         RunError: there is none; ``hint`` says how to make them.
     """
-    folders, unfinished = finished_folders(folder, hint)
+    finished, unfinished = list[Result](), list[str]()
+    for file in sorted(folder.glob(f"*/{CONFIG_FILE}")):
+        if is_finished(file.parent):
+            summary = json.loads(read_text(file.with_name("summary.json")))
+            finished.append(Result(file.parent, read_config(read_text(file), origin=str(file)), summary))
+        else:
+            unfinished.append(file.parent.name)
+    if not finished:
+        raise RunError(f"{folder}: holds no finished run; make some by: {hint}")
     if unfinished:
-        print(f"not finished, left out: {', '.join(run.name for run in unfinished)}")
-    finished = [
-        Result(
-            run,
-            read_config(read_text(run / "config.yaml"), origin=str(run / "config.yaml")),
-            json.loads(read_text(run / "summary.json")),
-        )
-        for run in folders
-    ]
+        print(f"not finished, left out: {', '.join(unfinished)}")
     # Of a collection, experiments compare runs that have more rooms with runs that have fewer.
     scenes = {str(run.config.scene if run.config.split else run.summary["scene"]) for run in finished}
     if len(scenes) > 1:

@@ -10,7 +10,7 @@ states, with whole numbers as keys and tuples, would need a format of their own.
 import hashlib
 import io
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -87,51 +87,6 @@ def packaged_agent(name: str | Path) -> Path | None:
     return PRETRAINED / path if not path.exists() and path.name == str(name) and (PRETRAINED / path).is_dir() else None
 
 
-def find_checkpoint(path: str | Path) -> Path:
-    """Return the file of a checkpoint, or the folder of an unfinished run; see `load_checkpoint`.
-
-    Raises:
-        RunError: there is none.
-    """
-    path = packaged_agent(path) or Path(path)
-    file = path / "network.pt" if path.is_dir() else path
-    if file.is_file():
-        return file
-    if path.is_dir() and training_checkpoints(path):
-        return path
-    raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
-
-
-def find_unfinished(resume: str, overrides: Sequence[str]) -> Path:
-    """Return the folder of the run that ``resume`` names.
-
-    Raises:
-        RunError: it is no run's, its run is finished, or options were given together with ``resume``.
-    """
-    others = [text for text in overrides if not text.startswith(("resume=", "trust="))]
-    if others:
-        raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
-    folder = Path(resume)
-    if not (folder / CONFIG_FILE).is_file():
-        raise RunError(f"{folder}: is not the folder of a run; it has no {CONFIG_FILE}")
-    if is_finished(folder):
-        raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
-    return folder
-
-
-def finished_folders(folder: Path, hint: str) -> tuple[list[Path], list[Path]]:
-    """Return the finished runs right in a folder, by name, and those that are not finished.
-
-    Raises:
-        RunError: none is finished; ``hint`` says how to make them.
-    """
-    folders = sorted(file.parent for file in folder.glob(f"*/{CONFIG_FILE}"))
-    finished = [run for run in folders if is_finished(run)]
-    if not finished:
-        raise RunError(f"{folder}: holds no finished run; make some by: {hint}")
-    return finished, [run for run in folders if run not in finished]
-
-
 def save_checkpoint(file: Path, state: State) -> None:
     """Write a checkpoint so that the file is either complete or absent, whenever the process is killed."""
     buffer = io.BytesIO()
@@ -166,10 +121,13 @@ def load_checkpoint(path: str | Path) -> State:
     Raises:
         RunError: there is none, or it is damaged.
     """
-    file = find_checkpoint(path)
+    path = packaged_agent(path) or Path(path)
+    file = path / "network.pt" if path.is_dir() else path
     if file.is_file():
         return read_checkpoint(file)
-    return latest_checkpoint(file)[0]
+    if path.is_dir() and training_checkpoints(path):
+        return latest_checkpoint(path)[0]
+    raise RunError(f"{path}: holds no checkpoint; expected the folder of a run or a .pt file")
 
 
 def latest_checkpoint(folder: Path, check: Callable[[Path, State], None] = lambda *_: None) -> tuple[State, list[Path]]:

@@ -100,7 +100,9 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
     except Exception as error:
         if "shared memory(shm)" in str(error):
             leave("error: shared memory ran out; enlarge /dev/shm, or take fewer workers", MEMORY, advice)
-        if not _is_memory(error):
+        # torch raises a RuntimeError for it on the CPU.
+        of_torch = isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error)
+        if not (isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError" or of_torch):
             raise
         leave("error: memory ran out; make the run smaller, or free some", MEMORY, advice)
 
@@ -139,13 +141,6 @@ def _told(error: OSError) -> str:
     reason = error.strerror or (str(error).splitlines() or [type(error).__name__])[0]
     hint = HINTS.get(error.errno or 0, "")
     return f"{where}{reason}{f'; {hint}' if hint else ''}"
-
-
-def _is_memory(error: Exception) -> bool:
-    """Return True if Python, numpy or torch ran out of memory; torch raises a ``RuntimeError`` for it on the CPU."""
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
-        return True
-    return isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error)
 
 
 @contextlib.contextmanager

@@ -22,7 +22,6 @@ from dirl.runs.checkpoints import (
     RunError,
     State,
     Summary,
-    find_unfinished,
     is_finished,
     latest_checkpoint,
     save_checkpoint,
@@ -228,14 +227,18 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
         if changed:
             raise RunError(f"{folder}: holds a run with other options, {', '.join(changed)}; choose another folder")
         return Run(folder, config) if is_finished(folder) else _go_on(folder, config)
-    folder = find_unfinished(config.resume, overrides)
+    if others := [text for text in overrides if not text.startswith(("resume=", "trust="))]:
+        raise RunError(f"resume uses the saved configuration; leave out {' '.join(others)}")
+    folder = Path(config.resume)
+    if not (folder / CONFIG_FILE).is_file():
+        raise RunError(f"{folder}: is not the folder of a run; it has no {CONFIG_FILE}")
     return _go_on(folder, _saved_config(folder, config.trust or []))
 
 
 def _go_on(folder: Path, config: TrainConfig) -> Run:
     """Return the run in a folder at its latest usable checkpoint, or at its beginning if it has saved none yet."""
     lock = FolderLock(folder)
-    if is_finished(folder):  # meanwhile
+    if is_finished(folder):
         raise RunError(f"{folder}: the run is finished; its result is in {folder / 'summary.json'}")
     if not training_checkpoints(folder):
         return Run(folder, config, lock=lock)

@@ -1,21 +1,9 @@
 """Scenes from photographs: a folder of images, and a table that says where each was taken.
 
-``states.csv`` has one row for each image, in any order:
-
-| column | contents |
-|---|---|
-| ``image`` | the image's file, relative to the folder |
-| ``location`` | a name for the place where the camera stood |
-| ``heading`` | where it looked, degrees clockwise |
-| ``x``, ``z`` | the place on a map, metres; rough values suffice, only pictures use them |
-| ``ahead`` | the location that a move ahead leads to, with the same heading; empty = blocked |
-| ``back`` | the same for a move back; the column may be missing: then back undoes ahead |
-| ``goal`` | ``yes`` where the image is a goal; the column may be missing |
-| ``shot`` | 1, 2, ... for further images of the same place and heading, one number a visit; empty for the first |
-
-Further shots are looks of a place that changes: their other columns but place, heading and position stay empty.
-Every location has the same number of headings, a multiple of four, evenly spread: 4 of 90 degrees, 8 of 45, 12 of 30.
-A right turn is the next heading clockwise.
+``states.csv`` has one row for each image, in any order, with the columns of `Row` (docs/howto/make_scenes.md). Further
+shots are looks of a place that changes: their other columns but place, heading and position stay empty. Every location
+has the same number of headings, a multiple of four, evenly spread: 4 of 90 degrees, 8 of 45, 12 of 30. A right turn is
+the next heading clockwise.
 """
 
 import csv
@@ -61,15 +49,17 @@ class Row:
     image: Path
     location: str
     heading: Number
+    """Where the camera looked, degrees clockwise."""
     x: Number
+    """Metres, as z; rough values suffice, only pictures use them."""
     z: Number
     ahead: str
-    """The location, empty = blocked."""
+    """The location that a move ahead leads to, with the same heading; empty = blocked."""
     back: str | None = None
-    """None = is not said."""
+    """The same for a move back; None where there is no such column: then back undoes ahead."""
     goal: Literal["yes"] | None = None
     shot: Annotated[int, Ge(0), Le(999_999)] = 0
-    """0 for the first image of a place and heading."""
+    """0 for the first image of a place and heading; further ones have a number a visit."""
 
     @property
     def position(self) -> tuple[float, float]:

@@ -3,8 +3,7 @@
 import importlib.util
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from operator import index
@@ -152,12 +151,19 @@ def _train_seeds(overrides: Sequence[str], seeds: Sequence[int], options: Mappin
 
 
 def _compose(arguments: Sequence[str]) -> tuple[DictConfig, Path]:
-    """Return the configuration of a training and the folder of its run."""
-    with hydra_put_aside():
+    """Return the configuration of a training and the folder of its run.
+
+    Also inside another Hydra application, which gets its own state back.
+    """
+    state = GlobalHydra.instance()
+    outer, state.hydra = state.hydra, None
+    try:
         composed = compose_training(arguments, return_hydra_config=True)
         folder = Path(composed.hydra.run.dir)
         with open_dict(composed):
             del composed["hydra"]
+    finally:
+        GlobalHydra.instance().hydra = outer  # Hydra's own contexts replace the instance
     return composed, folder
 
 
@@ -205,14 +211,3 @@ def _written(value: object) -> str:
     if isinstance(value, Mapping):
         return "{" + ",".join(f"{key}:{_written(each)}" for key, each in value.items()) + "}"
     return json.dumps(list(value) if isinstance(value, range) else value, ensure_ascii=False, default=str)
-
-
-@contextmanager
-def hydra_put_aside() -> Iterator[None]:
-    """Let Hydra compose within this context, also inside another Hydra application, which gets its own state back."""
-    state = GlobalHydra.instance()
-    outer, state.hydra = state.hydra, None
-    try:
-        yield
-    finally:
-        GlobalHydra.instance().hydra = outer  # Hydra's own contexts replace the instance

@@ -94,7 +94,7 @@ def test_kept_features_are_used_only_if_they_are_of_this_encoder(tmp_path, monke
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     first = encoded_as(scene, extractor, patches=False)
     (kept,) = (tmp_path / "dirl").iterdir()
-    monkeypatch.setattr(registry, "encode_scene", lambda *_: pytest.fail("is not kept"))
+    monkeypatch.setattr(registry, "encode_all", lambda *_: pytest.fail("is not kept"))
     assert np.array_equal(encoded_as(scene, extractor, patches=False).features, first.features)
     write_dump(kept, replace(first, views=None), feature_attributes={"extractor": "another"})
     with pytest.raises(pytest.fail.Exception, match="is not kept"):

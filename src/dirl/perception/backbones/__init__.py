@@ -1,7 +1,7 @@
 """Frozen image encoders, which turn views into features."""
 
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder
-from dirl.perception.backbones.registry import Encoded, encode_all, encode_scene, load_encoder
+from dirl.perception.backbones.registry import Encoded, encode_all, load_encoder
 from dirl.perception.backbones.resnet import ResNet50, encode, load_backbone, preprocess
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "ViewEncoder",
     "encode",
     "encode_all",
-    "encode_scene",
     "load_backbone",
     "load_encoder",
     "preprocess",

@@ -134,19 +134,6 @@ def packaged_encoder(extractor: str) -> str | None:
     return next((name for name in names if load_encoder(name).extractor == extractor), None)
 
 
-def encode_scene(scene: Scene, encoder: ViewEncoder) -> Encoded:
-    """Return the features of every view of a scene, and patches if the encoder gives them.
-
-    Raises:
-        EncoderError: the scene has no views, or one cannot be encoded.
-        ValueError: a view cannot be decoded.
-    """
-    if scene.views is None:
-        raise EncoderError(f"{scene.origin}: has no views to encode; their dataset is observation or observation_webp")
-    views = scene.views
-    return encode_all(encoder, (views[state] for state in range(len(scene))), len(scene), scene.origin)
-
-
 def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
     """Encode a scene's views by an encoder of the package; return the scene as it is if that is not possible.
 
@@ -173,7 +160,8 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
     fine = patches and name == LITE  # single photos are recognised by them
     encoder = load_encoder(name, patches=patches, fine_patches=fine)
-    features, parts = encode_scene(scene, encoder)
+    views = (scene.views[state] for state in range(len(scene)))
+    features, parts = encode_all(encoder, views, len(scene), scene.origin)
     encoded = replace(scene, features=features, patches=parts, along=along, extractor=extractor)
     if kept is None:
         return encoded

@@ -58,20 +58,20 @@ SUMS = "9a70f98597b4e964880ff6ac12210c4a228949e0dbc630e089535eba6dd04a46"
 
 @dataclass(frozen=True)
 class Dump:
-    """A file to be read; see `read_dump`."""
+    """A file to be read."""
 
     path: Path
     name: str | None = None
+    """Of the scene; the file's attribute ``name`` or its stem if left out."""
     source: str | None = None
+    """Its origin; the file's attribute ``source`` or "unlabelled" if left out."""
 
 
-def read_dump(path: str | Path, *, name: str | None = None, source: str | None = None, isolated: bool = True) -> Scene:
+def read_dump(path: str | Path, *, isolated: bool = True) -> Scene:
     """Read and check one scene.
 
     Args:
         path: the HDF5 file.
-        name: of the scene; the file's attribute ``name`` or its stem if left out.
-        source: its origin; the file's attribute ``source`` or "unlabelled" if left out.
         isolated: read the file in a separate process, with limits of time and memory, because libhdf5 can crash or
             hang on a damaged one. A built-in room with the right checksum is always read in this process.
 
@@ -79,7 +79,7 @@ def read_dump(path: str | Path, *, name: str | None = None, source: str | None =
         SceneError: the file is missing, damaged or invalid. The message names the file,
             the dataset, and the first offending state.
     """
-    return read_dumps([Dump(Path(path), name, source)], isolated=isolated)[0]
+    return read_dumps([Dump(Path(path))], isolated=isolated)[0]
 
 
 def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
