@@ -174,10 +174,9 @@ class EpisodeMeter:
         }
 
     def state_dict(self) -> Report:
-        """Return what `load_state_dict` takes; the totals only tell whether the steps were changed."""
+        """Return what `load_state_dict` takes."""
         return {
             "steps": [list(last) for last in self.steps],
-            "totals": list(self.totals),
             "episodes": self.episodes,
             "stable_at": self.stable_at,
             "near_at": self.near_at,
@@ -186,5 +185,5 @@ class EpisodeMeter:
     def load_state_dict(self, state: Report) -> None:
         """Restore a saved state."""
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
-        self.totals = list(state["totals"])
+        self.totals = [sum(last) for last in self.steps]
         self.episodes, self.stable_at, self.near_at = state["episodes"], state["stable_at"], state["near_at"]

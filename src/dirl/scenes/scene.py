@@ -23,6 +23,15 @@ BEYOND = 1e9
 MAX_NAME = 100
 """Bytes of UTF-8; a file's name may have 255."""
 
+STORED = {
+    "patches": "patches",
+    "look_features": "look_feature",
+    "look_patches": "look_patches",
+    "along": "along_feature",
+    "toward": "toward",
+}
+"""The datasets of what is large of a scene beside its features, by their names in `Scene`."""
+
 ALLOWED = re.compile(r"[^\W_](?:[\w .,()+-]*[\w)+])?")
 """Letters and digits of any script, and what needs no care in paths, in matplotlib's titles and in Hydra's options."""
 
@@ -92,14 +101,19 @@ class Scene:
                     kind = np.float16 if features.dtype == np.float16 else np.float32
                     features = features.astype(kind, copy=features.flags.writeable)  # else as they are, mapped
             arrays["features"] = self._array("resnet_feature", features, np.floating, (states, None))
-        if self.patches is not None:
-            arrays["patches"] = self._array("patches", self.patches, np.float16, (states, None, None))
-        if self.along is not None:
-            width = 0 if self.features is None else self.features.shape[1]
-            arrays["along"] = self._array("along_feature", self.along, np.float16, (states, width))
-        if self.toward is not None:
-            arrays["toward"] = self._array("toward", self.toward, np.float16, (2, states, states))
-        arrays |= self._checked_looks()
+        width = 0 if self.features is None else self.features.shape[1]
+        looks = None if self.look_features is None else len(self.look_features)
+        parts = (None, None) if self.patches is None else self.patches.shape[1:]
+        shapes: dict[str, tuple[type, tuple[int | None, ...]]] = {
+            "patches": (np.float16, (states, None, None)),
+            "look_features": (np.floating, (None, states, width)),
+            "look_patches": (np.float16, (looks, states, *parts)),
+            "along": (np.float16, (states, width)),
+            "toward": (np.float16, (2, states, states)),
+        }
+        for name, expected in shapes.items():
+            if getattr(self, name) is not None:
+                arrays[name] = self._array(STORED[name], getattr(self, name), *expected)
         turned = np.where(graph[:, RIGHT] < 0, np.arange(states), graph[:, RIGHT])
         moved = np.flatnonzero((np.abs(positions[turned] - positions) > 1e-3).any(1))
         if len(moved):
@@ -209,18 +223,6 @@ class Scene:
                 state = f"{self.origin}: {name}: state {rows[0]}"
                 raise SceneError(f"{state} holds a value that is not finite, or beyond {BEYOND:g}")
         return array
-
-    def _checked_looks(self) -> dict[str, np.ndarray]:
-        """Return the arrays of further looks: as many of patches as of features, each as that of the default look."""
-        if self.look_features is None:
-            return {}
-        pairs = [("look_features", np.floating, self.features), ("look_patches", np.float16, self.patches)]
-        looks: dict[str, np.ndarray] = {}
-        for name, kind, default in pairs:
-            if default is not None:
-                shape = (None if name == "look_features" else len(looks["look_features"]), *default.shape)
-                looks[name] = self._array(name, getattr(self, name), kind, shape)
-        return looks
 
 
 def check_name(name: str, origin: str) -> None:

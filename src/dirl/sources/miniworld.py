@@ -27,8 +27,7 @@ class MiniWorld:
     Args:
         env: such as ``FourRooms``, which is ``MiniWorld-FourRooms-v0``.
         seed: of its walls and things.
-        height: of a view, pixels.
-        width: likewise.
+        height, width: of a view, pixels.
         field_of_view: vertical, degrees.
 
     Raises:

@@ -46,8 +46,7 @@ class VizDoom:
     Args:
         name: of the map: ``map01`` to ``map32`` are Freedoom 2's, ``E1M1`` to ``E4M9`` those of Freedoom 1.
         wad: a file with maps of one's own, for Freedoom 2; the maps that come along if left out.
-        height: of a view, pixels.
-        width: likewise.
+        height, width: of a view, pixels.
 
     Raises:
         SceneError: VizDoom is not installed or does not start, or there is no such map.

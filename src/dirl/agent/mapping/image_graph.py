@@ -7,8 +7,7 @@ fits nowhere is passed over.
 A place that is reached by a new edge and looks like a known one may be another (perceptual aliasing): see `Doubt`.
 """
 
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -140,19 +139,26 @@ class ImageGraph(Panoramas):
         if self.doubt is not None and (testing := self._testing_action(self.doubt)) is not None:
             return testing
         tried = (AHEAD, BACK) if self.turns == VIEWS else (AHEAD, BACK, RIGHT)
-        first: dict[int, int | None] = {node: None}
-        queue = deque([node])
-        while queue:
-            here = queue.popleft()
+        for here, began in self._reached(node):
             for action in tried:
                 if self.moves[here][action] == UNKNOWN:
-                    began = first[here]
                     return action if began is None else began
-            for action, there in enumerate(self.moves[here]):
-                if there >= 0 and there not in first:
-                    first[there] = action if first[here] is None else first[here]
-                    queue.append(there)
         return None
+
+    def _reached(self, start: int, closed: Collection[int] = ()) -> Iterator[tuple[int, int | None]]:
+        """Yield the nodes that known moves lead to, the nearest first, each with the first action on the way there.
+
+        That of the start is None; nodes that are ``closed`` are not passed.
+        """
+        first: dict[int, int | None] = {start: None}
+        queue = [start]
+        for here in queue:
+            began = first[here]
+            yield here, began
+            for action, there in enumerate(self.moves[here]):
+                if there != UNKNOWN and there not in first and there not in closed:
+                    first[there] = action if began is None else began
+                    queue.append(there)
 
     def merge_panoramas(self, same: Mapping[int, int]) -> None:
         """See `Panoramas.merge_panoramas`; the walker is where it was."""
@@ -195,18 +201,12 @@ class ImageGraph(Panoramas):
 
     def _testing_action(self, doubt: "Doubt") -> int | None:
         """Return the first action on a shortest path to a neighbour of the best candidate; None if it has none."""
-        first: dict[int, int | None] = {doubt.candidates[0]: None}
-        queue = deque(first)
-        while queue:
-            here = queue.popleft()
-            for action, there in enumerate(self.moves[here]):
-                if there == UNKNOWN or there in first or there in doubt.same[0]:
-                    continue
-                began = action if first[here] is None else first[here]
-                if action in (AHEAD, BACK):
-                    return began
-                first[there] = began
-                queue.append(there)
+        same = doubt.same[0]
+        for here, began in self._reached(doubt.candidates[0], same):
+            for action in (AHEAD, BACK):
+                there = self.moves[here][action]
+                if there not in (UNKNOWN, here) and there not in same:
+                    return action if began is None else began
         return None
 
     def _settle(self, doubt: "Doubt", views: Tensor, action: int) -> bool:

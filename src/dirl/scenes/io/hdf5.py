@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.scenes.graph import ACTIONS, IntArray
-from dirl.scenes.scene import SceneError
+from dirl.scenes.scene import STORED, SceneError
 from dirl.scenes.views import MAX_PIXELS, ImageError, decode
 
 # What is larger than these is refused before any of it is read.
@@ -37,18 +37,8 @@ COLLECTIONS = 16
 """Of values of variable length, to which libhdf5 adds in turn (HDF5 file format, version 3, III.E)."""
 
 DATASETS = (
-    "graph",
-    "location",
-    "rotation",
-    "resnet_feature",
-    "patches",
-    "look_feature",
-    "look_patches",
-    "along_feature",
-    "toward",
-    "shortest_path_distance",
-    "observation",
-    "observation_webp",
+    *("graph", "location", "rotation", "resnet_feature", *STORED.values()),
+    *("shortest_path_distance", "observation", "observation_webp"),
 )
 
 FILE_ATTRIBUTES = ("name", "source", "goals", "actions")
@@ -249,14 +239,15 @@ def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[
     Named as in `Scene`. Of each the first byte, the shape and the type. They are float16 and in one piece, so that
     those of many scenes can be memory-mapped.
     """
-    stored: dict[str, tuple[str, tuple[int | None, ...]]] = {
-        "patches": ("patches", (states, None, None)),
-        "look_features": ("look_feature", (None, states, None)),
-        "look_patches": ("look_patches", (None, states, None, None)),
-        "along": ("along_feature", (states, None)),
-        "toward": ("toward", (2, states, states)),
+    shapes: dict[str, tuple[int | None, ...]] = {
+        "patches": (states, None, None),
+        "look_features": (None, states, None),
+        "look_patches": (None, states, None, None),
+        "along": (states, None),
+        "toward": (2, states, states),
     }
-    located = {array: _locate(file, path, name, shape) for array, (name, shape) in stored.items() if name in file}
+    there = [array for array, name in STORED.items() if name in file]
+    located = {array: _locate(file, path, STORED[array], shapes[array]) for array in there}
     if "look_patches" in located and "look_features" not in located:
         raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
     return located

@@ -11,7 +11,7 @@ from PIL import Image
 from dirl.scenes.graph import ACTIONS, shortest_distances
 from dirl.scenes.io.files import atomic_path
 from dirl.scenes.io.hdf5 import check_view, write_digest
-from dirl.scenes.scene import Scene, SceneError, check_name
+from dirl.scenes.scene import STORED, Scene, SceneError, check_name
 
 MOST_WITH_DISTANCES = 5_000
 """States of a file that holds the distances of all pairs, for other programs; they are recomputed when it is read."""
@@ -60,15 +60,8 @@ def write_dump(
             file["resnet_feature"] = scene.features[:, None]
             file["resnet_feature"].attrs.update(feature_attributes or {"extractor": scene.extractor})
         # In one piece each, so that a reader can map them into memory.
-        large = {
-            "patches": scene.patches,
-            "look_feature": scene.look_features,
-            "look_patches": scene.look_patches,
-            "along_feature": scene.along,
-            "toward": scene.toward,
-        }
-        for name, array in large.items():
-            if array is not None:
+        for attribute, name in STORED.items():
+            if (array := getattr(scene, attribute)) is not None:
                 file[name] = array.astype(np.float16, copy=False)
         if scene.patches is not None:
             file["patches"].attrs.update(patch_attributes or {})

@@ -41,13 +41,7 @@ STOCK: Mapping[str, Material] = {
     "marble": Material("marble", rough=0.15, size=1.2),
     "brick": Material(
         "tile",
-        {
-            "colors": ("#8f4632", "#a3573f", "#7c3a2a", "#b06a4e"),
-            "grout": "#b7aca0",
-            "nx": 5,
-            "ny": 14,
-            "brick": True,
-        },
+        {"colors": ("#8f4632", "#a3573f", "#7c3a2a", "#b06a4e"), "grout": "#b7aca0", "nx": 5, "ny": 14, "brick": True},
         size=1.1,
         rough=0.9,
     ),

@@ -20,16 +20,10 @@ ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
 def read_table(file: Path) -> Described:
     """Read the tour of a folder of equirectangular images with ``links.csv``, and maybe ``panoramas.csv``.
 
-    | table | column | contents |
-    |---|---|---|
-    | ``links.csv`` | ``image`` | where the link starts: the image's file, relative to the folder |
-    | | ``to`` | the image that it leads to |
-    | | ``yaw`` | in which direction it lies, degrees clockwise from the middle of the image |
-    | ``panoramas.csv`` | ``image`` | one of those images |
-    | | ``x``, ``z`` | the place on a map, metres; empty or without a column = unknown |
-    | | ``heading`` | where the middle of the image looks, degrees clockwise from +z; likewise |
-
-    Panoramas are the linked images, in the order of their names.
+    A link leads from ``image`` ``to`` another one, files of the folder, in the direction ``yaw``, degrees clockwise
+    from the middle of the image. A place is at ``x`` and ``z``, metres, and the middle of its image looks towards
+    ``heading``, degrees clockwise from +z; what is empty or has no column is not known. Panoramas are the linked
+    images, in the order of their names.
     """
     folder = file.parent
     links: dict[str, list[Link]] = {}
