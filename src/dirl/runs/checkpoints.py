@@ -159,17 +159,21 @@ def read_checkpoint(file: Path) -> State:
     Raises:
         RunError: it is damaged, or no checkpoint of this version of dirl.
     """
+    return check_entries(read_archive(file), file)
+
+
+def read_archive(file: Path) -> Any:
+    """Return what `save_checkpoint` wrote to a file, if its digest is right; `RunError` if it is damaged."""
     try:
         data = read_bytes(file, MOST_WEIGHTS)
     except ValueError as error:
         raise RunError(str(error)) from None
     _check_digest(data, file)
     try:
-        state = unpack_tensors(data)
+        return unpack_tensors(data)
     except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{file}: is no checkpoint of dirl ({reason})") from None
-    return check_entries(state, file)
 
 
 def check_entries(state: object, file: Path) -> State:

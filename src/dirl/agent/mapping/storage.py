@@ -1,6 +1,5 @@
-"""Maps as files: a folder with safetensors and JSON, nothing that could run code."""
+"""Maps as files: sealed with a digest as checkpoints are, and read without running code."""
 
-import json
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,9 @@ from dirl.agent.mapping.image_graph import ImageGraph, MapError
 from dirl.agent.mapping.places import PlaceMap
 from dirl.models.localising import Places
 from dirl.perception.recognition.recogniser import NCC, Recogniser, recogniser_name
-from dirl.scenes.io.files import MOST_WEIGHTS, atomic_path, check_seal, read_bytes, read_text, sealed, write_json
+from dirl.runs.checkpoints import read_archive, save_checkpoint
 
-MISSING = "needs a package that is not installed (safetensors): pip install 'dirl[maps]'"
-
-TENSORS, FACTS = "map.safetensors", "map.json"
-
-SCHEMA = 1
+FILE = "map.pt"
 
 PLACES = tuple(field.name for field in fields(Places) if field.name not in ("mapped", "turns"))
 
@@ -38,30 +33,22 @@ def save_graph(
         recogniser: what described the views of a `PlaceMap`; an `ImageGraph` knows its own.
 
     Raises:
-        MapError: the map is empty, or safetensors is not installed.
+        MapError: the map is empty.
     """
     folder = Path(folder)
     if not len(graph):
         raise MapError(f"{folder}: the map is empty; walk before it is saved")
-    try:
-        from safetensors.torch import save
-    except ImportError:
-        raise MapError(f"{folder}: {MISSING}") from None
-    folder.mkdir(parents=True, exist_ok=True)
+    known: dict[str, Any] = {"turns": graph.turns, "extractor": extractor}
     if isinstance(graph, PlaceMap):
-        tensors = {"seen": graph.seen, **{name: getattr(graph.places, name) for name in PLACES}}
-        tensors = {name: value.cpu().contiguous() for name, value in tensors.items()}
-        facts: dict[str, Any] = {"kind": "places", "turns": graph.turns}
+        places = {name: getattr(graph.places, name).cpu() for name in PLACES}
+        known |= {"kind": "places", "seen": graph.seen.cpu(), **places}
     else:
-        tensors = {"views": graph.views, "moves": torch.tensor(graph.moves), "observed": torch.tensor(graph.observed)}
-        facts = {"threshold": graph.threshold, "turns": graph.turns}
+        known |= {"views": graph.views, "moves": graph.moves, "observed": graph.observed, "threshold": graph.threshold}
         recogniser = graph.recogniser
     if recogniser is not None:
-        facts["recogniser"] = recogniser_name(recogniser)
-    content = save(tensors)
-    with atomic_path(folder / TENSORS) as temporary:
-        temporary.write_bytes(content)
-    write_json(folder / FACTS, sealed({"schema": SCHEMA, "extractor": extractor, **facts}, content))
+        known["recogniser"] = recogniser_name(recogniser)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_checkpoint(folder / FILE, known)
     return folder
 
 
@@ -78,34 +65,26 @@ def load_graph(
     Raises:
         MapError: the folder holds no map, it is damaged, or it was made with another extractor or recogniser.
     """
-    folder = Path(folder)
+    file = Path(folder) / FILE
+    if not file.is_file():
+        raise MapError(f"{folder}: holds no map; it has no {FILE}")
     try:
-        from safetensors.torch import load
-    except ImportError:
-        raise MapError(f"{folder}: {MISSING}") from None
-    if not (folder / TENSORS).is_file():
-        raise MapError(f"{folder}: holds no map; it has no {TENSORS}")
-    try:
-        facts = json.loads(read_text(folder / FACTS))
-        content = read_bytes(folder / TENSORS, MOST_WEIGHTS)
-        check_seal(facts, content)
-        tensors = load(content)
+        known = read_archive(file)
         graph: ImageGraph | PlaceMap
-        if facts.get("kind") == "places":
-            known = {name: tensors[name] for name in PLACES}
-            places = Places(**known, mapped=torch.zeros(1, dtype=torch.bool), turns=facts["turns"])
-            graph = PlaceMap(places, tensors["seen"])
+        if known.get("kind") == "places":
+            places = {name: known[name] for name in PLACES}
+            unmapped = torch.zeros(1, dtype=torch.bool)
+            graph = PlaceMap(Places(**places, mapped=unmapped, turns=known["turns"]), known["seen"])
         else:
             recogniser = recogniser or NCC()
-            graph = ImageGraph(facts["threshold"], facts["turns"], recogniser=recogniser)
-            for panorama in tensors["views"]:
+            graph = ImageGraph(known["threshold"], known["turns"], recogniser=recogniser)
+            for panorama in known["views"]:
                 graph.add_panorama(panorama)
-            graph.moves, graph.observed = tensors["moves"].tolist(), tensors["observed"].tolist()
-    except Exception as error:  # safetensors has an exception of its own for each kind of damage
-        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
-        raise MapError(f"{folder}: is no map of dirl ({reason})") from None
+            graph.moves, graph.observed = known["moves"], known["observed"]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise MapError(f"{folder}: is no map of dirl ({type(error).__name__}: {error})") from None
     wanted = {"extractor": extractor, "recogniser": None if recogniser is None else recogniser_name(recogniser)}
     for name, value in wanted.items():
-        if value is not None and facts.get(name) != value:
-            raise MapError(f"{folder}: was made with another {name}: '{facts.get(name)}', not '{value}'")
+        if value is not None and known.get(name) != value:
+            raise MapError(f"{folder}: was made with another {name}: '{known.get(name)}', not '{value}'")
     return graph

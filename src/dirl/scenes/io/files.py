@@ -280,9 +280,6 @@ def _check_columns(columns: Sequence[str], required: Sequence[str], optional: Se
         raise SceneError(f"{file}: line 1: the column '{missing[0]}' is missing; found {', '.join(columns)}")
 
 
-DIGEST = "digest"
-"""The key in JSON, see `sealed`."""
-
 PREFIX = ".unfinished-"
 """What the names of temporary files begin with; only a killed process leaves one."""
 
@@ -349,18 +346,3 @@ def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
-
-
-def sealed(facts: Mapping[str, object], *contents: bytes) -> dict[str, object]:
-    """Return facts to write as JSON, with a digest over them and the contents of other files of their folder."""
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
-    for content in contents:
-        digest.update(hashlib.sha256(content).digest())
-    return {**facts, DIGEST: digest.hexdigest()}
-
-
-def check_seal(facts: Mapping[str, object], *contents: bytes) -> None:
-    """Check what `sealed` added, ValueError if anything is not as it was written."""
-    plain = {key: value for key, value in facts.items() if key != DIGEST}
-    if facts != sealed(plain, *contents):
-        raise ValueError("its files are not those that were written: the digest differs")
