@@ -208,7 +208,6 @@ class TourOptions(EncodedForGeneral):
     compare_images: bool = option(
         "headings that links do not give, or contradict, come from what the panoramas show", True
     )
-    step: Step = option("metres of a link on the map, where the tour gives no positions", 2.0)
     height: Pixels = option(OF_VIEW, 224)
     width: Pixels = option(OF_VIEW, 224)
     field_of_view: FieldOfView = option("horizontal, degrees", 75)
@@ -458,7 +457,7 @@ def tour(options: TourOptions) -> None:
     """Make a dump from a 360-degree tour."""
     out = new_file(options.out)
     found = read_tour(options.path, skip=options.skip)
-    chosen = {name: getattr(options, name) for name in ("headings", "compare_images", "step", "name")}
+    chosen = {name: getattr(options, name) for name in ("headings", "compare_images", "name")}
     made = tour_scene(found, **chosen)
     encoder = chosen_encoder(options)
     print(

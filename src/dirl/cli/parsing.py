@@ -89,11 +89,7 @@ def parse(schema: type[T], arguments: Sequence[str]) -> T:
 
 
 def parsed(text: str) -> Override:
-    """Return an argument ``name=value`` as Hydra understands it.
-
-    Raises:
-        ConfigError: it has another form.
-    """
+    """Return an argument ``name=value`` as Hydra understands it; `ConfigError` if it has another form."""
     if not re.match(r"~|[^=]+=", text):
         raise ConfigError(f"{text or 'an empty text'}: is not of the form name=value")
     try:

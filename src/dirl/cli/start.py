@@ -91,11 +91,7 @@ def run(main: Callable[[], object], options: object = None) -> None:
 
 
 def new_file(name: str, ending: str = ".h5") -> Path:
-    """Return where to write.
-
-    Raises:
-        ConfigError: it has another ending, is there already, or nothing can be written there.
-    """
+    """Return where to write; `ConfigError` for another ending, and where something is or nothing can be written."""
     path = Path(name)
     if ending and path.suffix != ending:
         raise ConfigError(f"out={name}: the name must end in {ending}")

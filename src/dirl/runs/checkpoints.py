@@ -154,11 +154,7 @@ def latest_checkpoint(folder: Path, check: Callable[[Path, State], None] = lambd
 
 
 def read_checkpoint(file: Path) -> State:
-    """Read a checkpoint file whose digest is right.
-
-    Raises:
-        RunError: it is damaged, or no checkpoint of this version of dirl.
-    """
+    """Read a checkpoint file; `RunError` if it is damaged, or of another version of dirl."""
     return check_entries(read_archive(file), file)
 
 

@@ -180,11 +180,7 @@ def build_demonstrations(config: TrainConfig, world: World, observation: Surroun
 
 
 def build_expert(config: TrainConfig, world: World) -> TensorDictModuleBase:
-    """Return the expert that labels states with actions.
-
-    Raises:
-        ConfigError: it does not give actions.
-    """
+    """Return the expert that labels states with actions; `ConfigError` if it does not give any."""
     expert: TensorDictModuleBase = make("expert", config.expert, config.trust, world=world, seed=config.seed)
     if "expert_action" not in getattr(expert, "out_keys", ()):
         raise ConfigError(f"expert: {type(expert).__name__} is no expert: it writes no expert_action (out_keys)")

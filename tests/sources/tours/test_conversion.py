@@ -22,7 +22,7 @@ def told(made, words):
 
 def test_a_laid_out_map_has_the_shape_of_the_place():
     truth = turned(grid_truth(4, 3), 1.0)
-    made = tour_scene(tour_of(truth), headings=8, step=2.0)
+    made = tour_scene(tour_of(truth), headings=8)
     assert made.layout
     assert told(made, "positions are not known: the map is a layout in which each link is 2 m long")
     places = made.scene.positions[::8]

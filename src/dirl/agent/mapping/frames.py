@@ -227,11 +227,7 @@ class FrameMap:
 
 
 def load_frames_map(file: str | Path) -> FrameMap:
-    """Read a map that was saved.
-
-    Raises:
-        MapError: there is none, or it is damaged.
-    """
+    """Read a map that was saved; `MapError` if there is none, or it is damaged."""
     try:
         arrays: dict[str, Any] = read_arrays(Path(file))
         if int(arrays.pop("schema", np.int64(1))) != SCHEMA:

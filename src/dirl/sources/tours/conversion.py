@@ -31,6 +31,9 @@ ASIDE = 90.0
 FAR = 45.0
 """Degrees aside that a user should know of."""
 
+STEP = 2.0
+"""Metres that a link is long on the map, where the tour gives no positions."""
+
 SHOWN, BRIDGE, UNDONE, MISLEADING = 20.0, 60.0, 4.0, 2.0
 """What it is worth to show a link, one without which panoramas fall apart, that a move back undoes a move along it, and
 that none seems to where a link leads one way; a link 90 degrees aside costs 1."""
@@ -61,9 +64,7 @@ class Converted:
     layout: bool
 
 
-def tour_scene(
-    tour: Tour, *, headings: int = 8, step: float = 2.0, name: str | None = None, compare_images: bool = True
-) -> Converted:
+def tour_scene(tour: Tour, *, headings: int = 8, name: str | None = None, compare_images: bool = True) -> Converted:
     """Return the scene of a tour.
 
     Each link has a heading of its own, along which a move ahead leads, and a link both ways has opposite headings at
@@ -72,7 +73,6 @@ def tour_scene(
     Args:
         tour: see `dirl.sources.tours.read_tour`.
         headings: of each panorama, a multiple of four.
-        step: metres that a link is long on the map, where the tour gives no positions.
         name: of the scene; the tour's if left out.
         compare_images: whether headings that links do not give, or contradict, come from what the panoramas show.
 
@@ -95,7 +95,7 @@ def tour_scene(
     facing = np.float64(_zero(along, turn)) + turn * np.arange(headings, dtype=np.float64)
     graph, off = follow_links(tour, along, facing)
     layout = any(panorama.position is None for panorama in tour.panoramas)
-    places = _layout(tour, along, aligned.part, step) if layout else np.array([p.position for p in tour.panoramas])
+    places = _layout(tour, along, aligned.part) if layout else np.array([p.position for p in tour.panoramas])
     scene = Scene(
         name=name,
         graph=graph,
@@ -110,7 +110,7 @@ def tour_scene(
     if layout:
         known = sum(panorama.position is not None for panorama in tour.panoramas)
         so = f"known of {known} of {len(places)} panoramas only, so they are not used" if known else "not known"
-        notes.append(f"positions are {so}: the map is a layout in which each link is {step:g} m long")
+        notes.append(f"positions are {so}: the map is a layout in which each link is {STEP:g} m long")
     return Converted(scene, wrap(facing - middles[:, None]), _arrows(tour, graph), notes, layout)
 
 
@@ -163,17 +163,17 @@ def _zero(along: Array, turn: float) -> float:
     return float(np.degrees(np.angle(mean)) * turn / 360) if abs(mean) > 1e-9 else 0.0
 
 
-def _layout(tour: Tour, along: Array, part: IntArray, step: float) -> Array:
+def _layout(tour: Tour, along: Array, part: IntArray) -> Array:
     """Return positions ``[P, 2]`` at which links are a step long in their directions, or nearly; parts side by side."""
     ends, _ = link_ends(tour)
     ends, along = ends[part[ends[:, 0]] == part[ends[:, 1]]], along[part[ends[:, 0]] == part[ends[:, 1]]]
-    way = step * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)
+    way = STEP * np.stack([np.sin(np.radians(along)), np.cos(np.radians(along))], 1)
     places = least_squares(ends, way, np.ones(len(ends)), part)
     edge = 0.0
     for index in range(int(part.max()) + 1):
         here = part == index
         places[here] -= places[here].min(0) - [edge, 0]
-        edge = places[here, 0].max() + 2 * step
+        edge = places[here, 0].max() + 2 * STEP
     return places
 
 
