@@ -45,7 +45,12 @@ def load_parts(
         raise NavigatorError(f"device={device}: torch sees no CUDA device here; use device='cpu'")
     changes = {name: options for name, choice in chosen.items() if (options := group_options(name, choice))}
     config = read_config(saved["config"], origin, changes, trust)
-    encoder = encoder or own_encoder(saved, origin)
+    encoder = encoder or packaged_encoder(saved["extractor"])  # which made the features of the training
+    if encoder is None:
+        raise NavigatorError(
+            f"{origin}: was trained on features of '{saved['extractor']}', which is no encoder of dirl; name it, or "
+            "give a function of images: encoder=..."
+        )
     patches, recognises = reads_patches(config), build_recogniser(config.recogniser, device, config.trust)
     fine = patches and isinstance(recognises, Learned) and encoder == LITE  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
@@ -55,7 +60,12 @@ def load_parts(
         raise NavigatorError(f"{origin}: was trained on the views {order}, not {own}")
     if len(order) != VIEWS:
         raise NavigatorError(f"{origin}: was trained on {len(order)} views; a navigator takes {VIEWS}")
-    scene = choose_scene(scene, saved["scenes"], shared=bool(config.heads.get("shared")))
+    scenes, shared = saved["scenes"], bool(config.heads.get("shared"))
+    if scene is None and not shared and len(scenes) > 1:
+        raise NavigatorError(f"say in which scene the agent is by scene=...; choose from {scenes}")
+    if scene is not None and scene not in scenes:
+        raise NavigatorError(f"the checkpoint was not trained in '{scene}'; choose from {scenes}")
+    scene = None if shared else scene or scenes[0]
     sequential = order[-1] == "now"  # only the newest view is from where the agent is now
     matched = VIEWS - 1 if sequential else 0 if config.stop.match == Match.front else None
     policy = FeaturePolicy(rebuild(saved, config, scene, origin), matched)
@@ -75,20 +85,6 @@ def load_parts(
         "recogniser": recognises,
         "fine": fine,
     }
-
-
-def own_encoder(saved: Mapping[str, Any], origin: str) -> str:
-    """Return the name of the package's encoder that made the features of a checkpoint's training.
-
-    Raises:
-        NavigatorError: none of the package did.
-    """
-    if (name := packaged_encoder(saved["extractor"])) is None:
-        raise NavigatorError(
-            f"{origin}: was trained on features of '{saved['extractor']}', which is no encoder of dirl; name it, or "
-            "give a function of images: encoder=..."
-        )
-    return name
 
 
 def image_encoder(
@@ -139,15 +135,6 @@ def _check_extractor(saved: Mapping[str, Any], extractor: str, origin: str, hint
         check_extractor(saved, extractor, origin)
     except ConfigError as error:
         raise NavigatorError(f"{error}{hint}") from None
-
-
-def choose_scene(scene: str | None, scenes: list[str], *, shared: bool) -> str | None:
-    """Return the name of the scene's layers in the network; None for shared ones."""
-    if scene is None and not shared and len(scenes) > 1:
-        raise NavigatorError(f"say in which scene the agent is by scene=...; choose from {scenes}")
-    if scene is not None and scene not in scenes:
-        raise NavigatorError(f"the checkpoint was not trained in '{scene}'; choose from {scenes}")
-    return None if shared else (scene or scenes[0])
 
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:

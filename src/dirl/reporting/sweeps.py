@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from hydra.experimental.callback import Callback
-from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from dirl.config.files import leaves, plain_mapping
@@ -90,8 +89,9 @@ def seed_table(summaries: Sequence[Summary]) -> str:
     Runs that never became stable are counted, and are in no other number of that row.
     """
     lines = ["| | runs | mean | sd | lowest | quarter | median | three quarters | highest |", "|---" + "|--:" * 8 + "|"]
-    for name in SPREAD:
-        values = _values(summaries, name)
+    for name, (*groups, last) in SPREAD.items():
+        inner = [summary[groups[0]] if groups else summary for summary in summaries]
+        values = np.array([summary[last] for summary in inner if summary[last] is not None], float)
         if not len(values):
             lines.append(f"| {name} | 0 of {len(summaries)} |" + " - |" * 7)
             continue
@@ -99,10 +99,3 @@ def seed_table(summaries: Sequence[Summary]) -> str:
         shown = [f"{number:,.0f}" if values.max() > 1000 else f"{number:.3f}" for number in numbers]
         lines.append(f"| {name} | {len(values)} of {len(summaries)} | {' | '.join(shown)} |")
     return "\n".join(lines)
-
-
-def _values(summaries: Sequence[Summary], name: str) -> NDArray[np.float64]:
-    """Return a measure of `SPREAD` of the runs that have it."""
-    *groups, last = SPREAD[name]
-    inner = [summary[groups[0]] if groups else summary for summary in summaries]
-    return np.array([summary[last] for summary in inner if summary[last] is not None], float)

@@ -164,7 +164,11 @@ def read_archive(file: Path) -> Any:
         data = read_bytes(file, MOST_WEIGHTS)
     except ValueError as error:
         raise RunError(str(error)) from None
-    _check_digest(data, file)
+    body, digest = memoryview(data)[:-DIGITS], data[-DIGITS:]
+    if not data.startswith(b"PK\3\4") or body[-len(SEAL) :] != SEAL:
+        raise RunError(f"{file}: is damaged or no checkpoint of this version of dirl: it does not end with a digest")
+    if hashlib.sha256(body).hexdigest().encode() != digest:
+        raise RunError(f"{file}: is damaged: its digest differs from that of its content")
     try:
         return unpack_tensors(data)
     except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
@@ -203,12 +207,3 @@ def restoring(origin: Path) -> Iterator[None]:
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
         raise RunError(f"{origin}: its checkpoint does not fit this run ({reason})") from None
-
-
-def _check_digest(data: bytes, file: Path) -> None:
-    """Raise `RunError` unless the file is an archive that ends with the digest of what stands before it."""
-    body, digest = memoryview(data)[:-DIGITS], data[-DIGITS:]
-    if not data.startswith(b"PK\3\4") or body[-len(SEAL) :] != SEAL:
-        raise RunError(f"{file}: is damaged or no checkpoint of this version of dirl: it does not end with a digest")
-    if hashlib.sha256(body).hexdigest().encode() != digest:
-        raise RunError(f"{file}: is damaged: its digest differs from that of its content")

@@ -47,7 +47,10 @@ class FolderLock:
         try:
             lock.acquire(blocking=False)
         except Timeout:
-            raise RunningError(f"{folder}: {_holder(file)} is writing to it; wait for it, or stop it") from None
+            holder = "another process"
+            with suppress(OSError, UnicodeDecodeError):
+                holder = file.read_text(encoding="utf-8")[:100].strip() or holder
+            raise RunningError(f"{folder}: {holder} is writing to it; wait for it, or stop it") from None
         except OSError as error:
             if error.errno not in NO_LOCKS:
                 raise
@@ -58,13 +61,6 @@ class FolderLock:
                 file.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
         self.release = weakref.finalize(self, _release, lock, file, os.getpid())
         """To be called: releases the folder for other processes."""
-
-
-def _holder(file: Path) -> str:
-    """Return which process has written itself into a lock file."""
-    with suppress(OSError, UnicodeDecodeError):
-        return file.read_text(encoding="utf-8")[:100].strip() or "another process"
-    return "another process"
 
 
 def _release(lock: FileLock, file: Path, owner: int) -> None:

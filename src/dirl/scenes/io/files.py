@@ -254,7 +254,12 @@ def read_csv(
     rows = []
     try:
         columns = [column.strip() for column in next(reader)]
-        _check_columns(columns, required, optional, file)
+        for column in columns:
+            check_choice(column, [*required, *optional], f"{file}: line 1: columns")
+            if columns.count(column) > 1:
+                raise SceneError(f"{file}: line 1: the column '{column}' is named twice")
+        if missing := [column for column in required if column not in columns]:
+            raise SceneError(f"{file}: line 1: the column '{missing[0]}' is missing; found {', '.join(columns)}")
         for line in reader:
             cells = [cell.strip() for cell in line]
             if semicolons:
@@ -267,17 +272,6 @@ def read_csv(
     except csv.Error as error:
         raise SceneError(f"{file}: line {reader.line_num}: is no line of a table ({error})") from None
     return rows
-
-
-def _check_columns(columns: Sequence[str], required: Sequence[str], optional: Sequence[str], file: Path) -> None:
-    known = [*required, *optional]
-    for column in columns:
-        check_choice(column, known, f"{file}: line 1: columns")
-        if columns.count(column) > 1:
-            raise SceneError(f"{file}: line 1: the column '{column}' is named twice")
-    missing = [column for column in required if column not in columns]
-    if missing:
-        raise SceneError(f"{file}: line 1: the column '{missing[0]}' is missing; found {', '.join(columns)}")
 
 
 PREFIX = ".unfinished-"

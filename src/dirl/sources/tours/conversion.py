@@ -82,7 +82,9 @@ def tour_scene(tour: Tour, *, headings: int = 8, name: str | None = None, compar
     """
     if headings % 4 or not 4 <= headings <= 36:
         raise SceneError(f"headings={headings}: must be a multiple of four from 4 to 36")
-    name = _scene_name(name or tour.name)
+    # Of a title letters, digits and some signs are kept, see `check_name`.
+    kept = "".join(sign if sign.isalnum() or sign in " _.,()+-" else "_" for sign in name or tour.name)
+    name = kept.encode()[:100].decode(errors="ignore").strip() or "tour"
     check_name(name, tour.origin)
     turn = 360 / headings
     by_links = aligned = align(tour)
@@ -121,12 +123,6 @@ def _arrows(tour: Tour, graph: IntArray) -> Array:
     for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
         arrows[state] = yaws[state // headings, int(graph[state, AHEAD]) // headings]
     return arrows.reshape(-1, headings)
-
-
-def _scene_name(text: str) -> str:
-    """Return a tour's title as a name: letters, digits and some signs, see `dirl.scenes.scene.check_name`."""
-    kept = "".join(sign if sign.isalnum() or sign in " _.,()+-" else "_" for sign in text)
-    return kept.encode()[:100].decode(errors="ignore").strip() or "tour"
 
 
 def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Array]:

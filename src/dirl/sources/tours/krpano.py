@@ -62,7 +62,13 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
     image = scene.find("image")
     if image is None:
         raise SceneError(f"{where}: has no image")
-    _check_whole(image, where)
+    # Part of a panorama is no panorama, and krpano may turn one before it is shown.
+    for key in ("hfov", "vfov"):
+        if image.get(key) not in (None, "", "360", "360.0", "180", "180.0"):
+            raise FlatError(f"{where}: {key}={image.get(key)}: only whole panoramas can be cut into views")
+    turned = image.get("prealign") or ""
+    if any(part.strip().strip("+-0.") for part in turned.split("|")):
+        raise SceneError(f"{where}: prealign={turned[:50]}: turns the panorama; export the tour without it")
     sphere = image.find("sphere")
     if sphere is not None:
         return Equirectangular(inside(file.parent, _name(sphere.get("url", ""), {}), where))
@@ -90,16 +96,6 @@ def _image(scene: ET.Element, file: Path, where: str) -> Equirectangular | Cube:
     if not 0 < len(sides) <= MOST_LEVELS or sides != sorted(sides):
         raise SceneError(f"{where}: multires={sizes[:50]}: expected the size of tiles, then sizes of the cube, growing")
     return Cube(tuple(level_of(url, side, tile, level) for level, side in enumerate(sides, 1)))
-
-
-def _check_whole(image: ET.Element, where: str) -> None:
-    """Raise `SceneError` for part of a panorama, or for one that krpano turns before it is shown."""
-    for key in ("hfov", "vfov"):
-        if image.get(key) not in (None, "", "360", "360.0", "180", "180.0"):
-            raise FlatError(f"{where}: {key}={image.get(key)}: only whole panoramas can be cut into views")
-    turned = image.get("prealign") or ""
-    if any(part.strip().strip("+-0.") for part in turned.split("|")):
-        raise SceneError(f"{where}: prealign={turned[:50]}: turns the panorama; export the tour without it")
 
 
 def _file(url: str, face: str, level: int, row: int, column: int, file: Path, where: str) -> Path:
