@@ -11,8 +11,7 @@ from closet import closet
 from PIL import Image
 
 pytest.importorskip("embreex")
-from dirl.perception.backbones import ResNet50, ViewEncoder
-from dirl.perception.backbones.resnet import encode
+from dirl.perception.backbones import ResNet50, ViewEncoder, preprocess
 from dirl.scenes import SceneError, read_dump
 from dirl.sources.rooms import build_room, built_in_rooms, check_room, describe_room
 from dirl.sources.rooms.checks import check_views, contrast, thumbnail
@@ -64,7 +63,9 @@ def test_blank_and_alike_views_are_found():
 
 def test_a_room_is_built_with_graph_views_features_and_its_description(tmp_path):
     backbone = ResNet50()
-    encoder = ViewEncoder(lambda views: encode(backbone, views), {"extractor": "random ResNet-50", "weights": "none"})
+    encoder = ViewEncoder(
+        lambda views: backbone(preprocess(views)), {"extractor": "random ResNet-50", "weights": "none"}
+    )
     build_room(closet(), tmp_path / "closet.h5", encoder=encoder, **SMALL)
     scene = read_dump(tmp_path / "closet.h5")
     assert (scene.name, scene.goals, scene.source) == ("closet", (3,), "synthetic")

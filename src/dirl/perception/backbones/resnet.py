@@ -116,15 +116,6 @@ def preprocess(views: Tensor, size: tuple[int, int] = SIZE) -> Tensor:
     return normalised.permute(0, 3, 1, 2).contiguous().to(views.device)
 
 
-def encode(backbone: ResNet50, views: Tensor, batch: int = 32) -> Tensor:
-    """Return the features, float32 ``[N, 2048]``, of RGB views, uint8 ``[N, H, W, 3]``, ``batch`` at a time.
-
-    They are computed on the backbone's device, and returned on that of the views.
-    """
-    device = backbone.conv1.weight.device
-    return torch.cat([backbone(preprocess(part).to(device)).to(views.device) for part in views.split(batch)])
-
-
 def fused(backbone: ResNet50) -> ResNet50:
     """Return a copy with every batch norm folded into its convolution: the same features up to float32 rounding."""
     backbone = copy.deepcopy(backbone)
