@@ -1,12 +1,13 @@
-"""Train the network that tells where a goal lies, `dirl.models.policy.GoalLocator`, in rooms of your own.
+r"""Train the network that tells where a goal lies, `dirl.models.locator.GoalLocator`, in rooms of your own.
 
-    python recipes/scenes.py sample kind=all seed=330000 count=9 looks=2 encoder=efficientnet_lite0 patches=true out=r
-    python examples/train_locator.py rooms=r out=located.pt
+    python recipes/scenes.py sample kind=all seed=330080 count=9 looks=2 encoder=efficientnet_lite0 patches=true \
+        fine_patches=true changes.position=0.1 changes.heading=10 changes.exposure=0.3 out=rooms
+    python examples/train_locator.py rooms=rooms out=located.pt
     python recipes/evaluate.py checkpoint=located.pt scene=bathroom_02
 
 It learns from pairs of a visit and a goal of the same room, in looks that are sampled for each: which cell around the
-agent holds the goal. It reads what the policy reads, by an encoder of its own that begins as the policy's. Policy and
-recogniser stay as they are.
+agent holds the goal. It reads what the policy reads, by an encoder of its own that begins as the policy's, and the fine
+patches. Policy and recogniser stay as they are.
 """
 
 from copy import deepcopy
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from omegaconf import OmegaConf
 from torch import Tensor
 from tqdm import tqdm
@@ -23,32 +25,38 @@ from tqdm import tqdm
 from dirl.cli.start import new_file, run, start
 from dirl.config.options import option
 from dirl.config.schemas import Positive, Seed
-from dirl.models.policy import GoalLocator
+from dirl.models.features import FeatureTable
+from dirl.models.locator import GoalLocator
+from dirl.perception.backbones.patches import FINE, are_fine, coarse
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes import World
 from dirl.scenes.catalogue import collection_files
 from dirl.training.build import load_trained
 
-PHOTOS = 0.4
-"""Share of the goals of which only the view ahead is shown."""
+PHOTOS, NEAR, COARSE = 0.5, 0.3, 0.15
+"""Shares of batches with goals of which only the view ahead is shown, of goals at most three moves away, where agents
+decide whether to stop, and of batches without fine patches, which not every scene has."""
 
 SPREAD = 0.6
 """Standard deviation of the target around the goal, in cells: to be off by one is no great error."""
 
-RATE, DECAY = 1e-3, 0.05
+RATE, FINE_RATE, DECAY = 6e-4, 1.5e-3, 0.05
 
 REACH = 14
 """Moves ahead, behind and to either side within which the goal is located."""
+
+MIRRORED = [0, 3, 2, 1]
+"""Views ahead, left, back and right, as a mirror shows them."""
 
 
 @dataclass
 class Options:
     """Train the network that tells where a goal lies."""
 
-    rooms: str = option("a folder of rooms with features and patches, see scenes.py sample")
+    rooms: str = option("a folder of rooms with features and fine patches, see scenes.py sample")
     out: str = option("the checkpoint to write (.pt): that of `general` with the new network")
-    steps: Positive = option("of the optimiser", 2000)
-    batch_size: Positive = option("pairs", 1024)
+    steps: Positive = option("of the optimiser", 3000)
+    batch_size: Positive = option("pairs", 384)
     seed: Seed = option("of weights and pairs", 0)
 
 
@@ -60,47 +68,90 @@ def main(rooms: str, out: str, steps: int, batch_size: int, seed: int) -> None:
     scenes = [str(path) for path in collection_files(Path(rooms), None)]
     changes = {"scene": scenes, "goals": None, "evaluation.starts": "sampled"}
     _, policy, protocol = load_trained(saved, "general", changes)
-    world = protocol.world
-    places = [(scene.positions / scene.step_length, scene.directions) for scene in world.scenes]
-    stands = [torch.from_numpy(np.concatenate(parts)).float() for parts in zip(*places, strict=True)]
+    pairs = Pairs(protocol.world)
     locator = GoalLocator(deepcopy(policy.encoder), policy.heads.width, REACH)
+    locator.fine.measure(pairs.patches)
     axis = torch.arange(-REACH, REACH + 1)
     spread = torch.softmax(-((axis[:, None] - axis).float() ** 2) / (2 * SPREAD**2), 1)
-    optimiser = torch.optim.AdamW(locator.parameters(), RATE, weight_decay=DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, steps)
+    compares = [*locator.fine.parameters(), *locator.fusion.parameters()]
+    reads = [*locator.encoder.parameters(), *locator.layers.parameters()]
+    optimiser = torch.optim.AdamW([{"params": reads}, {"params": compares}], RATE, weight_decay=DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, [RATE, FINE_RATE], steps)
     bar = tqdm(range(steps), unit=" steps")
     for _ in bar:
-        visit, goal, right, ahead = sample_pairs(world, *stands, batch_size)
-        shown = policy.features(goal)
-        shown[torch.rand(batch_size) < PHOTOS, 1:] = 0
-        near = (torch.stack([right, ahead]).clamp(-REACH, REACH) + REACH).round().long()
-        target = spread[near[1]][:, :, None] * spread[near[0]][:, None]
-        loss = -(target * locator(policy.features(visit), shown)).sum((1, 2)).mean()
+        visit, goal, right, ahead = pairs.sample(batch_size)
+        mirrored = bool(torch.rand(()) < 0.5)
+        seen, wanted = (read(pairs.world, policy.features, ids, mirrored) for ids in (visit, goal))
+        right = -right if mirrored else right
+        if torch.rand(()) < PHOTOS:
+            wanted = F.pad(wanted[0][:, :1], (0, 0, 0, 3)), wanted[1][:, :1]
+        patches = () if torch.rand(()) < COARSE else (seen[1], wanted[1])
+        located = locator(seen[0], wanted[0], *patches)
+        # Facing right, what was to the right is ahead, and what was ahead is to the left; and so on.
+        facing = [(right, ahead), (-ahead, right), (-right, -ahead), (ahead, -right)]
+        cells = torch.stack([torch.stack(cell, 1) for cell in facing], 1).round().long().clamp(-REACH, REACH) + REACH
+        target = spread[cells[..., 1]][..., :, None] * spread[cells[..., 0]][..., None, :]
+        loss = -(target * located).sum((2, 3)).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         schedule.step()
         bar.set_postfix(loss=f"{loss.item():.2f}")
-    save_checkpoint(file, with_locator(saved, locator))
+    save_checkpoint(file, with_locator(saved, locator.eval()))
 
 
-def sample_pairs(
-    world: World, positions: Tensor, directions: Tensor, count: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return view ids of visits and goals, int64 ``[B, 4]`` each, and where the goals lie from there.
+class Pairs:
+    """Pairs of a visit and a goal of the same room; all rooms count alike.
 
-    The last two say how many moves to the right and ahead, float32 ``[B]`` each. Positions of N states are in moves,
-    directions unit vectors, float32 ``[N, 2]``. All rooms count alike.
+    Args:
+        world: of the rooms.
+
+    Raises:
+        ValueError: a room has no fine patches.
     """
-    sizes = torch.tensor([len(scene) for scene in world.scenes])
-    scene = torch.randint(len(sizes), (count,))
-    first = torch.tensor(world.offsets[: len(sizes)])[scene]
-    state, goal = (first + (torch.rand(count) * sizes[scene]).long() for _ in range(2))
-    way = positions[goal] - positions[state]
-    aside, faced = world.surrounding[state, 1], world.surrounding[state, 0]
-    look, other = (len(world) * torch.randint(world.looks, (count, 1)) for _ in range(2))
-    views = (world.surrounding[state] + look, world.surrounding[goal] + other)
-    return *views, (way * directions[aside]).sum(1), (way * directions[faced]).sum(1)
+
+    def __init__(self, world: World) -> None:
+        if world.patches is None or not are_fine(world.patches):
+            raise ValueError("the rooms have no fine patches; sample them with patches=true fine_patches=true")
+        self.world, self.patches = world, world.patches
+        places = [(scene.positions / scene.step_length, scene.directions) for scene in world.scenes]
+        self.positions, self.directions = (
+            torch.from_numpy(np.concatenate(parts)).float() for parts in zip(*places, strict=True)
+        )
+        """In moves, and as unit vectors, float32 ``[N, 2]`` of N states each."""
+
+    def sample(self, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return view ids of visits and goals, int64 ``[B, 4]`` each, and where the goals lie from there.
+
+        The last two say how many moves to the right and ahead, float32 ``[B]`` each.
+        """
+        world = self.world
+        sizes = torch.tensor([len(scene) for scene in world.scenes])
+        scene = torch.randint(len(sizes), (count,))
+        first = torch.tensor(world.offsets[: len(sizes)])[scene]
+        state, goal = (first + (torch.rand(count) * sizes[scene]).long() for _ in range(2))
+        for pair in range(int(NEAR * count)):
+            here = slice(int(first[pair]), int(first[pair] + sizes[scene[pair]]))
+            moves = (self.positions[here] - self.positions[state[pair]]).abs().sum(1)
+            near = (moves < 3.5).nonzero()[:, 0]
+            goal[pair] = here.start + near[torch.randint(len(near), ())]
+        way = self.positions[goal] - self.positions[state]
+        aside, faced = world.surrounding[state, 1], world.surrounding[state, 0]
+        look, other = (len(world) * torch.randint(world.looks, (count, 1)) for _ in range(2))
+        views = (world.surrounding[state] + look, world.surrounding[goal] + other)
+        return *views, (way * self.directions[aside]).sum(1), (way * self.directions[faced]).sum(1)
+
+
+def read(world: World, table: FeatureTable, views: Tensor, mirrored: bool) -> tuple[Tensor, Tensor]:
+    """Return features as the policy reads them, and fine patches, of view ids ``[B, 4]``.
+
+    What a network sees of a mirrored view is nearly what it sees of the view, with its patches the other way round.
+    """
+    assert world.patches is not None
+    pooled, patches = world.features[views], world.patches[views].float()
+    if mirrored:
+        pooled, patches = pooled[:, MIRRORED], patches[:, MIRRORED].unflatten(2, FINE).flip(3).flatten(2, 3)
+    return table.standardise(torch.cat([pooled, coarse(patches).flatten(2)], -1)), patches
 
 
 def with_locator(saved: dict[str, Any], locator: GoalLocator) -> dict[str, Any]:

@@ -8,9 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from commands import ROOT
+from rooms import grid_scene
 
 from dirl.agent.cameras import Decision, Scores
+from dirl.models import FeatureTable
+from dirl.perception.backbones.patches import coarse
+from dirl.scenes import make_world
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +146,30 @@ def test_an_example_tells_its_options(name, monkeypatch, capsys):
         runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
     assert not ended.value.code
     assert "== Options: name=value ==" in capsys.readouterr().out
+
+
+def test_pairs_to_train_a_locator_with_say_where_goals_lie(monkeypatch):
+    """In a mirror what was to the right is to the left, and a mirror of a mirror shows what there was."""
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    from train_locator import NEAR, Pairs, read
+
+    torch.manual_seed(0)
+    world = make_world([grid_scene(5, 4, patches="fine")])
+    visit, goal, right, ahead = Pairs(world).sample(64)
+    for state, wanted, aside, along in zip(visit[:, 0], goal[:, 0], right, ahead, strict=True):
+        for action, moves in ((0, along), (3, -along)):
+            for _ in range(int(moves.round().clamp(min=0))):
+                state = world.graph[state, action]
+        side = world.graph[state, 1 if aside > 0 else 2]
+        for _ in range(int(aside.abs().round())):
+            side = world.graph[side, 0]
+        assert (world.surrounding[wanted] == side).any()  # the place; the heading is another
+    assert (right.abs() + ahead.abs())[: int(NEAR * 64)].max() < 3.5
+    table = FeatureTable(world.features, patches=coarse(world.patches))
+    seen, mirrored = read(world, table, visit, False), read(world, table, visit, True)
+    assert not torch.equal(seen[1], mirrored[1])
+    torch.testing.assert_close(mirrored[0].norm(), seen[0].norm())
+    torch.testing.assert_close(mirrored[1][:, 1].unflatten(1, (6, 8)).flip(2).flatten(1, 2), seen[1][:, 3])
 
 
 def test_another_camera_sees_the_same_room(monkeypatch):

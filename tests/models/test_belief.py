@@ -1,11 +1,14 @@
 """Where a goal is believed to be: what visits say, facing any way and wherever they are, adds up in one grid."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 
+from dirl.agent.agent import Localising
 from dirl.models import LocalisingMemory
 from dirl.models.belief import CLEAR, REACH, GoalBelief
-from dirl.models.policy import GoalLocator
+from dirl.scenes.graph import AHEAD, BACK, RIGHT
 
 SIDE = 9
 
@@ -51,9 +54,11 @@ def test_visits_that_agree_make_sure_and_one_that_does_not_leaves_doubt():
             belief.see(told(right, ahead, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
         sure.append(belief.odds(goal).item())
     assert sure[3] < sure[0] < sure[1] < sure[2] <= CLEAR
-    less = GoalBelief(1, most=sure[0] - 1)
-    less.see(told(2, 3, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
-    assert less.odds(goal).item() == pytest.approx(sure[0] - 1)  # as of a photo, of which it is less sure
+    alone, several = GoalBelief(1, photo=True), GoalBelief(1, photo=True)
+    for belief, visits in ((alone, 1), (several, 3)):
+        for _ in range(visits):
+            belief.see(told(2, 3, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
+    assert sure[0] == alone.odds(goal).item() < several.odds(goal).item() < sure[2]  # all visits share its error
 
 
 def test_far_away_nothing_is_told_but_that_the_goal_is_unlikely():
@@ -87,12 +92,26 @@ def test_where_the_goal_is_believed_to_lie_behind_an_exit_a_place_that_looks_lik
     assert not memory.stops(places, belief).item()
 
 
-@torch.no_grad()
-def test_a_locator_gives_probabilities_of_the_cells_around():
-    class Nothing(torch.nn.Module):
-        def forward(self, observation, goal_observation):
-            return observation.mean((1, 2), keepdim=True).expand(-1, -1, 16).squeeze(1)
+@pytest.mark.parametrize(("stayed", "places"), [(None, 2), (-5.0, 2), (5.0, 1)])
+def test_a_move_that_was_blocked_leads_to_no_new_place(stayed, places):
+    """Without what the locator tells, a move ahead leads to a new place where nothing looks alike."""
+    memory, unlike = LocalisingMemory(), torch.full((1, 1, 4), -1.0)
+    costs, odds = (lambda chosen: torch.ones(len(chosen), 4, 4)), torch.full((1, 4), -9.0)
+    walked = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, costs)
+    walked.action = torch.tensor([AHEAD])
+    told = None if stayed is None else torch.tensor([stayed])
+    walked = memory.arrive(walked, unlike, odds, costs, stayed=told)
+    assert walked.position.shape[1] == places
 
-    located = GoalLocator(Nothing(), 16, 3)(torch.rand(5, 4, 8), torch.rand(5, 4, 8))
-    assert located.shape == (5, 7, 7)
-    assert located.flatten(1).logsumexp(1).abs().max() < 1e-5
+
+@pytest.mark.parametrize(("action", "lies"), [(AHEAD, (0, -1)), (BACK, (0, 1))])
+def test_where_an_agent_was_a_step_ago_tells_whether_it_moved(action, lies):
+    agent = Localising(LocalisingMemory(), 4)
+    agent.before, agent.action = torch.zeros(1, 4), torch.tensor([action])
+    for where, sign in ((lies, -1), ((0, 0), 1)):
+        now = SimpleNamespace(inputs=agent.before, displacement=lambda before, where=where: told(*where, sure=3.0))
+        assert agent.stayed(now).item() == pytest.approx(3.0 * sign)
+    agent.action = torch.tensor([RIGHT])
+    assert agent.stayed(now).item() == 0
+    agent.before = None  # at the start of an episode
+    assert agent.stayed(now) is None

@@ -17,7 +17,7 @@ from dirl.agent.mapping.graph_policy import GraphGuide
 from dirl.agent.mapping.places import PlaceMap
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
-from dirl.models.belief import CLEAR, OF_A_PHOTO, GoalBelief
+from dirl.models.belief import UNLIKELY, GoalBelief
 from dirl.models.localising import MOVE
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import AHEAD, BACK
@@ -78,10 +78,14 @@ class Observed(Protocol):
         """Return the chosen agents' logits, bool ``[B]``, facing each view; ``[B, K, 4]``, zero for others."""
 
     @property
-    def displacement(self) -> Tensor | None:
-        """Where the goal lies, by the log probability of cells, facing each view, ``[B, K, S, S]``; None = unknown.
+    def inputs(self) -> Tensor:
+        """The views around the agents, by view id or features, ``[B, K, ...]``; `displacement` takes earlier ones."""
 
-        See `dirl.models.policy.GoalLocator`. Nobody tells it in panoramas, which stand anywhere.
+    def displacement(self, earlier: Tensor | None = None) -> Tensor | None:
+        """Return where the goal lies, or the place of an earlier visit; None where nobody tells it.
+
+        By the log probability of cells, facing each view, ``[B, K, S, S]``, see `dirl.models.locator.GoalLocator`.
+        Nobody tells it in panoramas, which stand anywhere.
         """
 
     def at_goal(self) -> Tensor:
@@ -245,6 +249,8 @@ class Localising(Remembering):
         self.turns, self.known = turns, known
         self.belief: GoalBelief | None = None
         """Where the goals are; None where nobody tells, and with a map, which tells it."""
+        self.before: Tensor | None = None
+        """What was seen a step ago, see `Observed.inputs`."""
 
     def arrive(self, now: Observed) -> Tensor:
         """Take in what the agents see; return True where they stop, bool ``[B]``."""
@@ -260,14 +266,26 @@ class Localising(Remembering):
         alike = self.remember(now)
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] + now.points
-        self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows)
-        displacement = now.displacement if self.known is None else None
+        self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows, self.stayed(now))
+        displacement = now.displacement() if self.known is None else None
         if displacement is not None:
             position, heading = self.past.pose
-            most = CLEAR if now.goal_pooled.shape[1] > 1 else OF_A_PHOTO
-            self.belief = self.belief or GoalBelief(agents, device, most)
+            self.belief = self.belief or GoalBelief(agents, device, photo=now.goal_pooled.shape[1] == 1)
             self.belief.see(displacement, position / MOVE, heading, self.turns)
         return self.memory.stops(self.past, self.belief)
+
+    def stayed(self, now: Observed) -> Tensor | None:
+        """Return how much more likely this is seen if the last move was blocked, log ratios ``[B]``; None = unknown."""
+        before, self.before = self.before, now.inputs
+        told = None if before is None or self.known is not None else now.displacement(before)
+        if before is None or told is None:
+            return None
+        told, middle = told.clamp(min=UNLIKELY), told.shape[-1] // 2
+        # After a move ahead the earlier place lies behind; facing right it is to the left, and so on.
+        lies = ((self.action == BACK).long() - (self.action == AHEAD).long())[:, None]
+        rows, columns = (middle + lies * lies.new_tensor(way) for way in ((1, 0, -1, 0), (0, -1, 0, 1)))
+        agent, view = torch.arange(len(told), device=told.device)[:, None], torch.arange(VIEWS, device=told.device)
+        return (told[..., middle, middle] - told[agent, view, rows, columns]).mean(1)
 
     def logits(self, now: Observed) -> Tensor:
         """Return the plan's logits."""
@@ -276,6 +294,8 @@ class Localising(Remembering):
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents."""
         super().select(chosen)
+        if self.before is not None:
+            self.before = self.before[chosen]
         if self.belief is not None:
             self.belief.select(chosen)
 

@@ -11,6 +11,7 @@ from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 from dirl.agent.agent import NEVER, four_of
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
+from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import FRONT_THRESHOLD, ComparesPanoramas, Recogniser, ncc, panorama_odds
 from dirl.scenes import ACTIONS, Action
 
@@ -83,8 +84,15 @@ class FeaturePolicy(nn.Module):
         return policy.heads.policy(hidden, scene), policy.heads.value(hidden, scene), *after
 
     def locate(self, features: Tensor, goal_features: Tensor) -> Tensor:
-        """Return where the goals lie, ``[B, S, S]``, see `dirl.models.policy.GoalLocator`; inputs as `forward`."""
-        located: Tensor = self.policy.locator(*self._read(features, goal_features))
+        """Return where the goals lie, facing each view, ``[B, 4, S, S]``; inputs as `forward`, and fine patches.
+
+        See `dirl.models.locator.GoalLocator`.
+        """
+        patches: list[Tensor] = []
+        if features.shape[-1] > (read := self.table.inputs):
+            known = goal_features if goal_features[:, 1:].any() else goal_features[:, :1]
+            patches = [of[..., read:].unflatten(-1, FINE_SHAPE) for of in (features, known)]
+        located: Tensor = self.policy.locator(*self._read(features, goal_features), *patches)
         return located
 
     def _read(self, features: Tensor, goal_features: Tensor) -> tuple[Tensor, Tensor]:
@@ -263,14 +271,17 @@ class Views:
         return logits
 
     @property
-    def displacement(self) -> Tensor | None:
-        """Where the goals lie, facing each view."""
-        policy, headings = self.goal.policy, self.features.shape[1]
-        if policy.policy.locator is None or headings > VIEWS:
+    def inputs(self) -> Tensor:
+        """The features of the views."""
+        return self.features
+
+    def displacement(self, earlier: Tensor | None = None) -> Tensor | None:
+        """Return where the goals lie, or the places of earlier visits, facing each view."""
+        policy = self.goal.policy
+        if policy.policy.locator is None or self.features.shape[1] > VIEWS:
             return None
-        views = each_heading(self.features)
-        located = policy.locate(views, self.goal.wanted(self.goal.features, len(views)))
-        return located.unflatten(0, (-1, headings))
+        wanted = self.goal.wanted(self.goal.features, len(self.features)) if earlier is None else earlier
+        return policy.locate(self.features, wanted)
 
     def at_goal(self) -> Tensor:
         """Return True where agents stop."""

@@ -14,6 +14,7 @@ from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.models import caching, initial_state, recurrent_keys
 from dirl.models.distinct import EmbeddingCache, Keys, packable
+from dirl.perception.backbones.patches import are_fine
 from dirl.perception.recognition.recogniser import StopRule, VisitScores
 from dirl.scenes import ACTIONS
 from dirl.scenes.world import World
@@ -51,19 +52,21 @@ def deciding(policy: nn.Module, world: World, observation: SurroundingViews, epi
     return lambda episode, ahead, view_ids, wanted: table.index_select(0, world.pair(wanted, ahead))
 
 
-def locating(policy: nn.Module) -> Callable[[Tensor, Tensor], Tensor] | None:
-    """Return a function from view ids of visits and goals, ``[P, 4]``, to where these lie; None if the policy has none.
+def locating(policy: nn.Module, world: World) -> Callable[[Tensor, Tensor], Tensor] | None:
+    """Return a function from view ids, ``[P, 4]``, to where goals lie; None if the policy has none.
 
-    See `dirl.models.policy.GoalLocator`.
+    View ids are of visits and of goals, see `dirl.models.locator.GoalLocator`.
     """
     locator = getattr(policy, "locator", None)
     if locator is None:
         return None
     features: Any = policy.features
+    fine = world.patches if world.patches is not None and are_fine(world.patches) else None
 
     def locate(seen: Tensor, goal: Tensor) -> Tensor:
-        pairs = zip(seen.split(PAIRS_AT_ONCE), goal.split(PAIRS_AT_ONCE), strict=True)
-        return torch.cat([locator(features(visits), features(goals)) for visits, goals in pairs])
+        patches = [] if fine is None else [fine[seen], fine[goal[:, goal[0] < len(fine)]]]
+        located: Tensor = locator(features(seen), features(goal), *patches)
+        return located
 
     return locate
 
@@ -255,14 +258,16 @@ class AgentBatch:
         return logits
 
     @property
-    def displacement(self) -> Tensor | None:
-        """Where the goals that are shown lie, facing each view."""
-        if self.known.locate is None or self.visit.shape[1] > VIEWS:
+    def inputs(self) -> Tensor:
+        """The view ids around the agents."""
+        return self.visit
+
+    def displacement(self, earlier: Tensor | None = None) -> Tensor | None:
+        """Return where the goals that are shown lie, or the places of earlier visits, facing each view."""
+        ignored = self.known.sweeps and earlier is None
+        if self.known.locate is None or self.visit.shape[1] > VIEWS or ignored:
             return None
-        seen = self.known.observation.reset_view_ids(self.visit).flatten(0, 1)
-        goal = self._goal_view_ids(self.shown).repeat_interleave(VIEWS, 0)
-        located = self.known.locate(seen, goal)
-        return located.unflatten(0, self.visit.shape)
+        return self.known.locate(self.visit, self._goal_view_ids(self.shown) if earlier is None else earlier)
 
     def at_goal(self) -> Tensor:
         """Return True where agents stop."""

@@ -55,10 +55,18 @@ class Episodes:
 
 
 class RandomPolicy(TensorDictModuleBase):
-    """Each action with the same probability, whatever is observed: writes ``logits``, float32 ``[B, 4]``."""
+    """Each action with the same probability, whatever is observed: writes ``logits``, float32 ``[B, 4]``.
+
+    Args:
+        like: a policy that may tell where places lie, see `dirl.agent.decisions.locating`; this one tells the same.
+    """
 
     in_keys: ClassVar = ["state"]
     out_keys: ClassVar = ["logits"]
+
+    def __init__(self, like: nn.Module | None = None) -> None:
+        super().__init__()
+        self.locator, self.features = getattr(like, "locator", None), getattr(like, "features", None)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``logits``."""
@@ -183,7 +191,7 @@ class EvaluationProtocol:
                 decide=None if at_random else deciding(policy, world, observation, len(start)),
                 arrived=_arrived(world, self.stop),
                 scores=scores,
-                locate=locating(policy),
+                locate=locating(policy, world),
                 around=world.panoramas() if self.panorama else None,
                 possible=world.possible if self.arrows else None,
                 sweeps=isinstance(policy, RandomPolicy),

@@ -53,8 +53,8 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]
         "sampled": report(protocol.run(policy, greedy=False), world, protocol.metric),
     }
     if isinstance(protocol.memory, PlanningMemory | LocalisingMemory) and protocol.maps is None:
-        # No policy, but the same memory, stop, panorama and arrows.
-        reports["sweep"] = report(replace(protocol, walked=()).run(RandomPolicy()), world, protocol.metric)
+        # No policy, but the same memory, which knows as well whether a move was blocked, stop, panorama and arrows.
+        reports["sweep"] = report(replace(protocol, walked=()).run(RandomPolicy(policy)), world, protocol.metric)
     return reports if protocol.live is None else reports | assess_live(policy, protocol.live)
 
 

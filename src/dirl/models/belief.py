@@ -11,18 +11,18 @@ REACH = 24
 UNLIKELY = -9.0
 """The least log probability of a cell: a network that was never wrong in training can be."""
 
-GROWTH = 0.5
-"""The mean of what n visits say counts n to this power: visits to one room err alike."""
+GROWTH, OF_A_PHOTO = 0.85, 0.5
+"""The mean of what n visits say counts n to this power: visits to one room err alike, most of all where the goal is a
+photo, whose own error they share."""
+
+CLEAR = 6.0
+"""The most that the posterior adds to the log odds of a place, or takes from them."""
 
 ROOM = 30
 """Cells where a goal may be, before anything was seen."""
 
 AGENTS_AT_ONCE = 1024
 """Of many agents, so many are taken at a time."""
-
-CLEAR, OF_A_PHOTO = 6.0, 0.0
-"""The most that the posterior adds to the log odds of a place, and where the goal is a photo; it takes up to the first
-from them. A photo is located less well: in validation rooms adding more led to false stops next to its place."""
 
 
 class GoalBelief:
@@ -34,14 +34,14 @@ class GoalBelief:
     Args:
         agents: B.
         device: of the grids.
-        most: that is added to the log odds of a place.
+        photo: whether the goals are photos.
     """
 
-    def __init__(self, agents: int, device: torch.device | str = "cpu", most: float = CLEAR) -> None:
+    def __init__(self, agents: int, device: torch.device | str = "cpu", *, photo: bool = False) -> None:
         self.cells = torch.zeros((agents, 2 * REACH + 1, 2 * REACH + 1), device=device)
         """The sum of the log probabilities of all visits: ``[b, y, x]`` of the cell ``y - REACH`` moves ahead and
         ``x - REACH`` to the right of the start."""
-        self.visits, self.most = 0, most
+        self.visits, self.growth = 0, OF_A_PHOTO if photo else GROWTH
         self.told = torch.zeros_like(self.cells)
         """How much more likely the goal is in each cell than before anything was seen, a log ratio; as ``cells``."""
 
@@ -58,8 +58,8 @@ class GoalBelief:
         for some in torch.arange(len(position), device=position.device).split(AGENTS_AT_ONCE):
             self.cells[some] += _from_the_start(displacement[some], position[some], heading[some], turns)
         self.visits += 1
-        posterior = (self.cells * self.visits ** (GROWTH - 1)).flatten(1).log_softmax(1).view_as(self.cells)
-        self.told = (posterior + math.log(ROOM)).clamp(-CLEAR, self.most)
+        posterior = (self.cells * self.visits ** (self.growth - 1)).flatten(1).log_softmax(1).view_as(self.cells)
+        self.told = (posterior + math.log(ROOM)).clamp(-CLEAR, CLEAR)
 
     def odds(self, position: Tensor) -> Tensor:
         """Return ``told`` of positions, float32 ``[B, P, 2]`` as those of visits; float32 ``[B, P]``."""

@@ -201,6 +201,7 @@ class LocalisingMemory(nn.Module):
         goal: Tensor,
         costs: Callable[[Tensor], Tensor],
         arrows: Tensor | None = None,
+        stayed: Tensor | None = None,
     ) -> Places:
         """Add where the agents are now, and what their last action led to.
 
@@ -212,10 +213,13 @@ class LocalisingMemory(nn.Module):
             costs: of the chosen agents, bool ``[B]``, the cost of trying each action facing each of the views, float32
                 ``[B, V, 4]``; rows of others are not used.
             arrows: which moves are possible facing each of the views, as visitors of a tour see, bool ``[B, V, 4]``.
+            stayed: how much more likely this visit was seen if the last move was blocked, log ratios, ``[B]``.
         """
-        return self.add(places, self.likely(places, alike, arrows).argmax(1), goal, costs)
+        return self.add(places, self.likely(places, alike, arrows, stayed).argmax(1), goal, costs)
 
-    def likely(self, places: Places, alike: Tensor, arrows: Tensor | None = None) -> Tensor:
+    def likely(
+        self, places: Places, alike: Tensor, arrows: Tensor | None = None, stayed: Tensor | None = None
+    ) -> Tensor:
         """Log probabilities, up to a constant, that the agents are now at each node or, last, at a new place.
 
         Agents that have not acted since the start may be at any place with the same probability. The result is float32
@@ -245,9 +249,11 @@ class LocalisingMemory(nn.Module):
                 stays: float | Tensor = self.slip if arrows is None else torch.where(arrow, 0.0, 1 - self.slip)
                 new[~tried & arrow] = 0.5
             else:
-                known = 1 - self.blocked
-                stays = self.blocked
-                new[~(tried | there.any(1))] = 1 - self.blocked
+                stays = new.new_full((len(used),), self.blocked)
+                if stayed is not None:
+                    stays = (stays.logit() + stayed).sigmoid()
+                known = 1 - stays[:, None]
+                new = torch.where((tried | there.any(1))[:, None], new, known)
             prior = torch.where(there & ~tried[:, None], known, prior)
             prior[at, torch.where(tried, outcome, places.here)] = torch.where(tried, 1 - self.slip, stays)
         return torch.cat([prior.log() + evidence, new.log()], 1)

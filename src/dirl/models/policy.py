@@ -23,6 +23,7 @@ from torchrl.modules import ActorValueOperator, ProbabilisticActor
 from dirl.envs.transforms import VIEWS
 from dirl.models.distinct import Cacheable, CachedEncoder, packable, reading_waits
 from dirl.models.features import FeatureTable, ObservationTable
+from dirl.models.locator import GoalLocator
 
 VIEW_IDS = ("view_ids", "goal_view_ids")
 OBSERVATIONS = ("observation", "goal_observation")
@@ -100,36 +101,6 @@ class ActorCriticHeads(nn.Module):
         self.trunk = SceneTrunks(names, lambda: nn.Sequential(nn.Linear(in_features, width), nn.ReLU()))
         self.policy = SceneLinear(names, width, num_actions)
         self.value = SceneLinear(names, width, 1)
-
-
-class GoalLocator(nn.Module):
-    """Tell where the goal lies: the log probability of each cell around the agent, which stands in the middle.
-
-    A cell is as wide as a move is long. Rows lead ahead, columns to the right; what lies farther than ``reach`` moves
-    counts to the cells at the edge.
-
-    Args:
-        encoder: features of observation and goal, float32 ``[B, 4, D]`` each, to ``[B, width]``.
-        width: see ``encoder``.
-        reach: moves ahead, behind and to either side.
-    """
-
-    def __init__(self, encoder: nn.Module, width: int, reach: int) -> None:
-        super().__init__()
-        self.side = 2 * reach + 1
-        self.encoder = encoder
-        self.layers = nn.Sequential(
-            nn.Linear(width, width),
-            nn.ReLU(),
-            nn.Linear(width, width),
-            nn.ReLU(),
-            nn.Linear(width, self.side**2),
-        )
-
-    def forward(self, observation: Tensor, goal_observation: Tensor) -> Tensor:
-        """Return log probabilities, float32 ``[B, S, S]``, of observation and goal, ``[B, 4, D]`` each."""
-        located = self.layers(self.encoder(observation, goal_observation))
-        return located.float().log_softmax(-1).unflatten(-1, (self.side, self.side))
 
 
 class SceneTrunks(nn.Module):
@@ -246,7 +217,8 @@ class ActorCritic(TensorDictModuleBase):
         encoder: features of observation and goal, float32 ``[B, 4, D]`` each, to ``fused`` ``[B, width]``.
         heads: ``trunk``, ``policy`` and ``value``, see `ActorCriticHeads`.
         memory: reads ``fused`` and writes ``memory``, as TorchRL's ``GRUModule`` and ``LSTMModule`` do.
-        locates: moves within which a second encoder like the first locates the goal, see `GoalLocator`; 0 = none does.
+        locates: moves within which a second encoder like the first locates the goal, see
+            `dirl.models.locator.GoalLocator`; 0 = none does.
     """
 
     def __init__(
