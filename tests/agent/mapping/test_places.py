@@ -83,7 +83,7 @@ class WholeOdds(Odds):
 class Told(LocalisingMemory):
     """Notes which arrows it was told."""
 
-    def arrive(self, places, alike, goal, costs, arrows=None):
+    def arrive(self, places, alike, goal, costs, arrows=None, stayed=None):
         self.arrows = arrows
         return super().arrive(places, alike, goal, costs, arrows)
 
