@@ -13,12 +13,9 @@ import typing
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dirl.config.schemas import ConfigError, Schedule, TrainConfig
-
-if TYPE_CHECKING:
-    pass
 
 TARGET = "_target_"
 
