@@ -277,12 +277,15 @@ class Localising(Remembering):
     def stayed(self, now: Observed) -> Tensor | None:
         """Return how much more likely this is seen if the last move was blocked, log ratios ``[B]``; None = unknown."""
         before, self.before = self.before, now.inputs
-        told = None if before is None or self.known is not None else now.displacement(before)
-        if before is None or told is None:
+        if before is None or self.known is not None:
             return None
-        told, middle = told.clamp(min=UNLIKELY), told.shape[-1] // 2
         # After a move ahead the earlier place lies behind; facing right it is to the left, and so on.
         lies = ((self.action == BACK).long() - (self.action == AHEAD).long())[:, None]
+        if not lies.any():  # a turn is never blocked
+            return torch.zeros(len(lies), device=lies.device)
+        if (told := now.displacement(before)) is None:
+            return None
+        told, middle = told.clamp(min=UNLIKELY), told.shape[-1] // 2
         rows, columns = (middle + lies * lies.new_tensor(way) for way in ((1, 0, -1, 0), (0, -1, 0, 1)))
         agent, view = torch.arange(len(told), device=told.device)[:, None], torch.arange(VIEWS, device=told.device)
         return (told[..., middle, middle] - told[agent, view, rows, columns]).mean(1)
