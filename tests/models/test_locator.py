@@ -77,6 +77,7 @@ def test_cameras_and_worlds_are_told_the_same(photo, fine):
     features, patches = torch.rand(20, 6), torch.randn(20, *(FINE_SHAPE if fine else PATCH_SHAPE))
     table = FeatureTable(features, patches=coarse(patches))
     policy = SimpleNamespace(features=table, locator=locator(table.width), memory=None)
+    policy.locator.train()  # as evaluations find it
     told = locating(policy, SimpleNamespace(patches=patches))
     seen, goal = torch.randint(20, (3, 4)), torch.randint(20, (3, 4))
     if photo:

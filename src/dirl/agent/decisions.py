@@ -60,6 +60,7 @@ def locating(policy: nn.Module, world: World) -> Callable[[Tensor, Tensor], Tens
     locator = getattr(policy, "locator", None)
     if locator is None:
         return None
+    locator.eval()  # it has dropout, and evaluations leave policies as they were trained
     features: Any = policy.features
     fine = world.patches if world.patches is not None and are_fine(world.patches) else None
 
