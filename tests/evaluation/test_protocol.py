@@ -30,7 +30,7 @@ def episodes(meter, goal, steps, count, frames=0):
 
 
 def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
-    meter = EpisodeMeter([6, 6, 6])
+    meter = EpisodeMeter(3)
     assert math.isnan(meter.atl)
     episodes(meter, 0, 50, 10)
     episodes(meter, 0, 10, WINDOW)
@@ -41,7 +41,7 @@ def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
 
 
 def test_stable_needs_enough_short_episodes_of_every_goal_and_is_lost_again():
-    meter = EpisodeMeter([6, 6])
+    meter = EpisodeMeter(2)
     episodes(meter, 0, 20, WINDOW, frames=1)
     episodes(meter, 1, 20, WINDOW - 1, frames=2)
     assert meter.stable_at is None

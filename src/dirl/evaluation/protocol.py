@@ -24,9 +24,6 @@ WINDOW = 100
 STABLE_ATL = 20.0
 """A policy is called stable while the current ATL of every goal is at or under this."""
 
-NEAR = 1.5
-"""It is called near the shortest path while the current ATL of every goal is at or under so many times the shortest."""
-
 
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]:
     """Return the metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
@@ -113,45 +110,31 @@ def report(episodes: Episodes, world: World, metric: Metric | None = None) -> Re
 
 
 class EpisodeMeter:
-    """Lengths of the latest training episodes of each goal, and the frame from which the policy is stable.
+    """Lengths of the latest training episodes of each of G goals, and the frame from which the policy is stable."""
 
-    Args:
-        shortest: the fewest steps to each goal, in the mean over its starts.
-    """
-
-    def __init__(self, shortest: Sequence[float]) -> None:
-        self.shortest = shortest
-        self.steps: list[deque[int]] = [deque(maxlen=WINDOW) for _ in shortest]
-        self.totals = [0] * len(shortest)
+    def __init__(self, goals: int) -> None:
+        self.steps: list[deque[int]] = [deque(maxlen=WINDOW) for _ in range(goals)]
+        self.totals = [0] * goals
         """Of ``steps``, so that an update does not add up the episodes of hundreds of goals again."""
         self.episodes = 0
         self.stable_at: int | None = None
-        self.near_at: int | None = None
 
     def add(self, goal_index: Sequence[int], steps: Sequence[int], frames: int) -> None:
         """Count finished episodes in the order they ended; the last ended by ``frames``.
 
         The policy is stable from the first frame after which the mean steps of the last `WINDOW` episodes stay at or
-        under `STABLE_ATL` for every goal, and near the shortest path from that after which they stay at or under
-        `NEAR` times the fewest steps.
+        under `STABLE_ATL` for every goal.
         """
         for goal, length in zip(goal_index, steps, strict=True):
             last = self.steps[goal]
             self.totals[goal] += length - (last[0] if len(last) == WINDOW else 0)
             last.append(length)
         self.episodes += len(steps)
-        self.stable_at = self._since(self.stable_at, frames, [STABLE_ATL] * len(self.steps))
-        self.near_at = self._since(self.near_at, frames, [NEAR * fewest for fewest in self.shortest])
-
-    def _since(self, before: int | None, frames: int, limits: Sequence[float]) -> int | None:
-        """Return since when every goal is within its limit, given what it was before these frames."""
-        within = (
-            len(last) == WINDOW and total <= limit * WINDOW
-            for last, total, limit in zip(self.steps, self.totals, limits, strict=True)
-        )
-        if not all(within):
-            return None
-        return frames if before is None else before
+        full = all(len(last) == WINDOW for last in self.steps)
+        if not (full and max(self.totals) <= STABLE_ATL * WINDOW):
+            self.stable_at = None
+        elif self.stable_at is None:
+            self.stable_at = frames
 
     @property
     def atl(self) -> float:
@@ -179,11 +162,10 @@ class EpisodeMeter:
             "steps": [list(last) for last in self.steps],
             "episodes": self.episodes,
             "stable_at": self.stable_at,
-            "near_at": self.near_at,
         }
 
     def load_state_dict(self, state: Report) -> None:
         """Restore a saved state."""
         self.steps = [deque(last, maxlen=WINDOW) for last in state["steps"]]
         self.totals = [sum(last) for last in self.steps]
-        self.episodes, self.stable_at, self.near_at = state["episodes"], state["stable_at"], state["near_at"]
+        self.episodes, self.stable_at = state["episodes"], state["stable_at"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import EngFormatter
 
-from dirl.evaluation.protocol import NEAR, STABLE_ATL, WINDOW
+from dirl.evaluation.protocol import STABLE_ATL, WINDOW
 from dirl.experiments.figures import band, panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
 from dirl.reporting.curves import atl_axis, common_frames
@@ -18,9 +18,9 @@ from dirl.scenes.palette import COLORS
 RULES = {"random": "drawn states", "interval": "every k-th state", "interval_pos": "every k-th place"}
 
 
-def stable_frames(result: Result, key: str = "stable_at_frame") -> float:
+def stable_frames(result: Result) -> float:
     """Return when the policy became stable, in frames; infinity if it never did."""
-    frame = result.summary[key]
+    frame = result.summary["stable_at_frame"]
     return math.inf if frame is None else float(frame)
 
 
@@ -51,8 +51,7 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
     paper = published(experiment)
     titles = {"fig4": "sample efficiency", "fig7": "surrounding or sequential views", "fig8": "the expert's fraction"}
     columns = {"setting": "", "runs": "d", "frames, paper": ",d", "frames, every goal": ",.0f"}
-    columns |= {f"frames, {NEAR:g} x shortest": ",.0f", "frames, mean of goals": ",.0f"}
-    table = Table({**columns, "ATL at the end": ".2f", "trained": ",d"})
+    table = Table({**columns, "frames, mean of goals": ",.0f", "ATL at the end": ".2f", "trained": ",d"})
     drawn = {}
     for label, runs, reported, is_drawn in _settings(experiment, results, paper):
         table.add(
@@ -60,7 +59,6 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
             len(runs),
             reported,
             [stable_frames(run) for run in runs],
-            [stable_frames(run, "near_shortest_at_frame") for run in runs],
             [mean_stable_frames(run) for run in runs],
             [run.summary["greedy"]["atl"] for run in runs],
             max(run.total for run in runs),
@@ -70,8 +68,7 @@ def report_efficiency(experiment: str, results: Sequence[Result], out: Path, not
     draw_efficiency(drawn, out, experiment)
     text = (
         f"{note}\n\nFrames until the mean steps of the last {WINDOW} training episodes stay at or under a limit: "
-        f"{STABLE_ATL:g} for every goal; {NEAR:g} times the shortest path for every goal; {STABLE_ATL:g} in the mean "
-        f"over the goals. Paper: {paper['source']}."
+        f"{STABLE_ATL:g} for every goal; {STABLE_ATL:g} in the mean over the goals. Paper: {paper['source']}."
     )
     title = f"Figure {experiment[3]}: {titles[experiment]}"
     shown = "Training ATL over frames for each setting, with the limit under which it is stable"

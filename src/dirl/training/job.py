@@ -60,7 +60,7 @@ class Components:
     """True if the run is before its reinforcement: it is new, or goes on from a checkpoint of its imitation."""
 
 
-NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None, "near_shortest_at_frame": None}
+NOT_REINFORCED = {"frames": 0, "frames_per_second": None, "stable_at_frame": None}
 """What a summary says of a run without reinforcement."""
 
 DIVERGED = "the policy has diverged, its logits are not finite: lower imitation.lr, optimiser.lr or reward.scale"
@@ -169,9 +169,7 @@ def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationPro
     trained = trained_parameters(policy, losses)
     optimiser = make("optimiser", run.config.optimiser, run.config.trust, params=trained)
     env = build_env(run.config, protocol.world, protocol.observation, policy)
-    world = protocol.world
-    to_goals = [world.block(world.distances, goal) for goal in range(len(world.goals))]
-    meter = EpisodeMeter([steps[steps > 0].double().mean().item() for steps in to_goals])
+    meter = EpisodeMeter(len(protocol.world.goals))
     state = TrainState(run.config, policy, losses, trained, optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
         with restoring(run.folder):

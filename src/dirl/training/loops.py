@@ -71,8 +71,8 @@ class TrainState:
     @property
     def summary(self) -> Facts:
         """What the summary of a run says of its reinforcement."""
-        stable = {"stable_at_frame": self.meter.stable_at, "near_shortest_at_frame": self.meter.near_at}
-        return {"frames": self.frames, "frames_per_second": self.frames / self.seconds, **stable}
+        speed = self.frames / self.seconds
+        return {"frames": self.frames, "frames_per_second": speed, "stable_at_frame": self.meter.stable_at}
 
     def state_dict(self) -> State:
         """Return what `load_state_dict` takes, and under ``network`` the weights for everyone else."""
