@@ -176,8 +176,6 @@ def test_a_policy_may_be_shown_another_goal(world):
     episodes = run_episodes(
         expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=shown, max_steps=20
     )
-    on_the_way = {0} & set(start.tolist())
-    assert not on_the_way
     assert episodes.success.float().mean() < 0.5
     same = run_episodes(
         expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=torch.arange(4)

@@ -46,9 +46,8 @@ def test_a_dump_may_lack_features_images_and_distances(dump):
 
 
 def test_numbers_may_be_of_any_type_and_in_compressed_chunks(scene, dump):
-    number = "f2"
-    values = {"location": (2 * scene.positions).astype(number), "rotation": scene.headings.astype(number)}
-    put(dump, **values, shortest_path_distance=np.zeros((24, 24), number), graph=None)  # distances are never used
+    values = {"location": (2 * scene.positions).astype("f2"), "rotation": scene.headings.astype("f2")}
+    put(dump, **values, shortest_path_distance=np.zeros((24, 24), "f2"), graph=None)  # distances are never used
     with h5py.File(dump, "a") as file:
         file.create_dataset("graph", data=scene.graph.astype("i8"), compression="gzip", shuffle=True, chunks=True)
     read = read_here(dump)
