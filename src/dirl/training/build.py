@@ -252,8 +252,6 @@ def build_protocol(
     """
     options = config.evaluation
     memory = make("episodic_memory", config.episodic_memory, config.trust)
-    recogniser = build_recogniser(config.recogniser, world.device, config.trust)
-    set_memory_threshold(memory, recogniser)
     if isinstance(memory, PlanningMemory | LocalisingMemory) and (observation.history or config.memory[TARGET]):
         raise ConfigError(
             f"episodic_memory: {type(memory).__name__} asks the policy what it would do facing the other views; with "
@@ -266,6 +264,11 @@ def build_protocol(
             own = world.local_goals(index).cpu()
             some[name] = sorted(own[torch.randperm(len(own), generator=generator)[: options.goals]].tolist())
         world = world.with_goals(some)
+    scores = None
+    if memory is not None:
+        recogniser = build_recogniser(config.recogniser, world.device, config.trust)
+        set_memory_threshold(memory, recogniser)
+        scores = VisitScores(recogniser, world)
     if isinstance(memory, LocalisingMemory):
         other = torch.nonzero(world.turns != world.turns[0]).flatten().tolist()
         if other:
@@ -289,7 +292,7 @@ def build_protocol(
         max_steps=options.max_steps,
         seed=config.seed,
         memory=memory,
-        scores=None if memory is None else VisitScores(recogniser, world),
+        scores=scores,
         # Where places change, nothing is seen without errors: neither visits nor goals have the default look.
         looks=range(1, world.looks) if world.looks > 2 else None,
         held_out=build_protocol(config, world.with_goals(held_out), observation) if held_out else None,
