@@ -68,15 +68,6 @@ def test_the_last_steps_are_the_policys(navigator, explorer, world):
     assert navigator.agent.guide is None
 
 
-def test_a_map_is_saved_and_used_by_its_folder(navigator, explorer, world, tmp_path):
-    folder = explorer.save(tmp_path / "map")
-    navigator.reset(images_of(world.surrounding[5]), graph=folder, last_steps=0)
-    assert walk_to_goal(navigator, world, 20)[-1] == 5
-    content = (folder / "map.pt").read_bytes()
-    (folder / "map.pt").write_bytes(content.replace(b"random", b"others", 1))
-    refused("its digest differs", navigator.reset, images_of(world.surrounding[5]), graph=folder)
-
-
 def test_an_image_graph_is_made_and_used_by_the_navigators_recogniser(world, navigator, tmp_path, monkeypatch):
     monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
     trained(tmp_path / "run", world)

@@ -5,12 +5,11 @@ from typing import Annotated, Any
 
 import pytest
 from annotated_types import Interval
-from options import SCHEMAS
 from refusals import refused
 
 from dirl.cli.parsing import compose_training, parse, prepare
 from dirl.config.files import typed
-from dirl.config.options import meanings, option, option_types
+from dirl.config.options import option
 from dirl.config.schemas import Device
 
 
@@ -72,12 +71,6 @@ def test_what_cannot_be_read_is_one_line(argument, told):
 )
 def test_what_a_training_does_not_take_is_one_line(argument, told):
     assert refused(".", lambda: typed(compose_training([argument]))).startswith(told)
-
-
-def test_every_option_says_what_it_means():
-    for name, schema in SCHEMAS.items():
-        assert set(meanings(schema)) == set(option_types(schema)), name
-    assert all(meanings(SCHEMAS["sample"]).values())
 
 
 @pytest.mark.parametrize(

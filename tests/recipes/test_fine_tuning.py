@@ -60,7 +60,6 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["init=nothing"], "nothing: holds no checkpoint"),
         (
             ["init=run", "encoder.width=16"],
             "init=run: its checkpoint decides the architecture; leave out encoder.width=16",

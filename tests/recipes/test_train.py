@@ -1,5 +1,6 @@
 import csv
 import json
+import re
 
 import pytest
 from commands import TINY, done, room_file, run_recipe
@@ -92,22 +93,10 @@ def test_benchmark_measures_every_loop(tmp_path):
     assert "fraction of limit" in printed
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["scene=bathrom_02"], ["there is no scene 'bathrom_02'; did you mean 'bathroom_02'?"]),
-        (["scene=bathroom_02", "encoder.widht=8"], ["encoder.widht", "did you mean encoder.width"]),
-        (["scene=bathroom_02", "goals=[180]"], ["bathroom_02", "goal 180", "0..179"]),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else value,
-)
-def test_bad_input_ends_with_one_clear_message_and_leaves_nothing_behind(tmp_path, arguments, told):
-    status, printed, errors = run_recipe(tmp_path, "train", *arguments)
-    assert status == 1
-    assert printed == ""
-    assert errors.startswith("error: ")
-    assert errors.count("\n") == 1
-    assert all(words in errors for words in told), errors
+def test_bad_input_ends_with_one_clear_message_and_leaves_nothing_behind(tmp_path):
+    status, printed, errors = run_recipe(tmp_path, "train", "scene=bathroom_02", "goals=[180]")
+    assert (status, printed, errors.count("\n")) == (1, "", 1)
+    assert re.match(r"error: .*bathroom_02.*: goal 180 is not a state; states are 0\.\.179$", errors)
     assert not list(tmp_path.iterdir())
 
 

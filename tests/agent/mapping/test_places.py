@@ -13,7 +13,7 @@ from shown_goals import images_of, look_up, trained, walk_through, walk_to_goal
 from shown_goals import rooms as shown_rooms
 
 from dirl import Navigator
-from dirl.agent.mapping import PlaceMap, load_graph, save_graph
+from dirl.agent.mapping import load_graph
 from dirl.agent.mapping.places import ParticleMapper, resampled, without_doubles
 from dirl.agent.navigator import NavigatorError
 from dirl.envs import SurroundingViews
@@ -227,26 +227,6 @@ def test_episodes_with_a_map_go_straight_to_any_goal(world, scores, walks):
 
 
 @pytest.fixture
-def known(walks):
-    """A map with descriptions, as a camera's."""
-    return replace(walks[0][0], seen=torch.rand(*walks[0][0].seen.shape, 8))
-
-
-@pytest.fixture
-def saved(known, tmp_path):
-    return save_graph(known, tmp_path / "map", extractor="random", recogniser=Odds())
-
-
-def test_a_map_is_the_same_after_it_was_saved(saved, known):
-    again = load_graph(saved, extractor="random", recogniser=Odds())
-    assert isinstance(again, PlaceMap)
-    assert torch.equal(again.seen, known.seen)
-    assert again.turns == known.turns
-    for name in ("cost", "after", "node", "goal", "position", "heading", "action", "mapped"):
-        assert torch.equal(getattr(again.places, name), getattr(known.places, name))
-
-
-@pytest.fixture
 def place():
     return shown_rooms()
 
@@ -267,9 +247,13 @@ def explored(navigator, place, known=None):
 
 @pytest.mark.parametrize("photo", [False, True])
 def test_a_navigator_walks_once_and_goes_straight_to_any_photo(navigator, place, tmp_path, photo):
-    folder = explored(navigator, place).save(tmp_path / "map")
+    explorer = explored(navigator, place)
+    folder, walked_through = explorer.save(tmp_path / "map"), explorer.graph.map()
     known = load_graph(folder)
     assert len(known) == len(place.scenes[0])
+    assert torch.equal(known.seen, walked_through.seen)
+    for name in ("cost", "after", "node", "goal", "position", "heading", "action", "mapped"):
+        assert torch.equal(getattr(known.places, name), getattr(walked_through.places, name))
     for goal in (1, 13):
         for start in (0, 18):
             navigator.reset(images_of(goal if photo else place.surrounding[goal]), graph=folder)
