@@ -8,20 +8,7 @@ import numpy as np
 import pytest
 import sptm
 from refusals import refused
-from sptm import (
-    AHEAD,
-    IDLE,
-    STARTS,
-    STEPS,
-    TESTS,
-    VALIDATION,
-    Game,
-    Maze,
-    Player,
-    map_walkthrough,
-    random_walker,
-    walk,
-)
+from sptm import AHEAD, IDLE, STARTS, STEPS, TESTS, VALIDATION, Game, Maze, Player, map_walkthrough, random_walker, walk
 
 from dirl.agent.mapping.guide import Guide
 

@@ -190,12 +190,7 @@ def deleted_folder(bench):
     return refused(child.wait(), 74)
 
 
-CASES = {
-    "kills": kills,
-    "signals": signals,
-    "faults": faults,
-    "machine": machine,
-}
+CASES = {"kills": kills, "signals": signals, "faults": faults, "machine": machine}
 """Each takes a `Bench`, how often, and a random number generator; yields what was done, and what was wrong with it."""
 
 

@@ -211,12 +211,7 @@ def write_table(folder, truth, camera, side=48, *, places=True):
     return folder
 
 
-WRITERS = {
-    "marzipano": write_marzipano,
-    "krpano": write_krpano,
-    "pannellum": write_pannellum,
-    "table": write_table,
-}
+WRITERS = {"marzipano": write_marzipano, "krpano": write_krpano, "pannellum": write_pannellum, "table": write_table}
 
 
 def written(kind, folder, truth=None):

@@ -8,14 +8,7 @@ from tensordict import TensorDict
 
 from dirl.config.schemas import ConfigError, Schedule
 from dirl.models import recurrent_keys
-from dirl.training.objectives import (
-    Losses,
-    ScheduledLoss,
-    as_first_steps,
-    bootstrap,
-    make_advantages,
-    minibatches,
-)
+from dirl.training.objectives import Losses, ScheduledLoss, as_first_steps, bootstrap, make_advantages, minibatches
 from dirl.training.rollout import collect, report
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=30", "reinforcement.max_steps=9"]
@@ -80,11 +73,7 @@ def test_the_losses_are_those_of_each_module_on_its_own_rows_weighted(room, memo
 
 @pytest.mark.parametrize(
     ("options", "names"),
-    [
-        ([], ["a2c", "imitation"]),
-        (["imitation.bc_coef=0"], ["a2c"]),
-        (["objective=none"], ["imitation"]),
-    ],
+    [([], ["a2c", "imitation"]), (["imitation.bc_coef=0"], ["a2c"]), (["objective=none"], ["imitation"])],
     ids=str,
 )
 def test_losses_without_weight_or_demonstrations_are_left_out(room, options, names):

@@ -158,11 +158,7 @@ class EpisodeMeter:
 
     def state_dict(self) -> Report:
         """Return what `load_state_dict` takes."""
-        return {
-            "steps": [list(last) for last in self.steps],
-            "episodes": self.episodes,
-            "stable_at": self.stable_at,
-        }
+        return {"steps": [list(last) for last in self.steps], "episodes": self.episodes, "stable_at": self.stable_at}
 
     def load_state_dict(self, state: Report) -> None:
         """Restore a saved state."""

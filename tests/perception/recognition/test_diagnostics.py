@@ -58,14 +58,8 @@ def test_parts_that_are_not_connected_are_found():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        (
-            {"graph": ((0, 0), -1)},
-            "state 12: a move back leads to state 0, and the opposite move does not",
-        ),
-        (
-            {"headings": ([5, 6], 0)},
-            "state 4: a turn goes from heading 0 to 0, but a full circle has 4 turns (3 ",
-        ),
+        ({"graph": ((0, 0), -1)}, "state 12: a move back leads to state 0, and the opposite move does not"),
+        ({"headings": ([5, 6], 0)}, "state 4: a turn goes from heading 0 to 0, but a full circle has 4 turns (3 "),
         ({"positions": (slice(None), 0)}, "a move ahead leads to state 12 at the same location (14 such moves)"),
         ({"features": (9, 2.5)}, "state 9 has features that are all equal (1 such states): encode anew"),
     ],

@@ -2,14 +2,7 @@
 
 import numpy as np
 import pytest
-from buildings import (
-    WALL,
-    Building,
-    choose_panoramas,
-    sample_building,
-    walk_poses,
-    write_building_tour,
-)
+from buildings import WALL, Building, choose_panoramas, sample_building, walk_poses, write_building_tour
 from closet import closet
 
 from dirl.sources.tours import read_tour
