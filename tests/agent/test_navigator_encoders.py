@@ -25,12 +25,12 @@ def resnet50():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory, resnet50):
     """The folder of a run on features that claim to be the shipped encoder's."""
-    return finished_run(tmp_path_factory.mktemp("run"), resnet50.extractor, 2048)
+    return finished_run(tmp_path_factory.mktemp("run"), resnet50.extractor)
 
 
-def finished_run(folder, extractor, width):
-    """The folder of a run on features of that width which claim to be of that extractor."""
-    trained(folder, make_world([grid_scene(feature_width=width, extractor=extractor)]))
+def finished_run(folder, extractor):
+    """The folder of a run on features which claim to be of that extractor."""
+    trained(folder, make_world([grid_scene(feature_width=2048, extractor=extractor)]))
     return folder
 
 
@@ -54,7 +54,7 @@ def test_an_encoder_with_another_text_is_refused(run):
 def test_an_encoder_from_a_file_of_weights_is_named(tmp_path):
     name = str(tmp_path / "resnet.pth")
     torch.save(ResNet50().state_dict(), name)
-    run = finished_run(tmp_path / "run", load_encoder(name).extractor, 2048)
+    run = finished_run(tmp_path / "run", load_encoder(name).extractor)
     navigator = Navigator.load(run, name)
     navigator.reset(IMAGES)
     assert navigator.act(IMAGES).scores.matching == pytest.approx(1, abs=1e-5)

@@ -36,9 +36,9 @@ def encoded(scene, simulator, **facts):
     return Scene(**facts, features=features)
 
 
-def field_scene(size=3):
-    scene, _ = take_scene(Field(size), source="field", step=1.0, turn=90)
-    return encoded(scene, Field(size), goals=(0, 17), extractor="colours")
+def field_scene():
+    scene, _ = take_scene(Field(), source="field", step=1.0, turn=90)
+    return encoded(scene, Field(), goals=(0, 17), extractor="colours")
 
 
 def make_env(agents=6, views=200, simulator=None, **options):

@@ -16,23 +16,6 @@ def world():
     return make_world([room, split])
 
 
-def stand(env, state, goal):
-    """Agents in given states with given goals."""
-    agents = env.reset()
-    agents["state"], agents["goal"] = torch.tensor(state), torch.tensor(goal)
-    agents["scene"] = env.world.scene_of[agents["state"]]
-    return agents
-
-
-def move(env, state, goal, action):
-    """What one step from given states leads to."""
-    return env.step(stand(env, state, goal).set("action", torch.tensor(action)))["next"]
-
-
-def no_stop(world):
-    return torch.zeros_like(world.distances, dtype=torch.bool)
-
-
 def test_starts_reach_their_goal_and_are_not_it(world):
     agents = NavigationEnv(world, 3000).reset()
     starts = {goal: set(agents["state"][agents["goal"] == goal].tolist()) for goal in agents["goal"].unique().tolist()}
@@ -41,10 +24,13 @@ def test_starts_reach_their_goal_and_are_not_it(world):
 
 
 def test_a_false_stop_ends_the_episode_with_the_step_reward(world):
-    stop = no_stop(world)
+    stop = torch.zeros_like(world.distances, dtype=torch.bool)
     stop[world.pair(torch.tensor(0), torch.tensor(5))] = True
+    env = NavigationEnv(world, 2, stop=stop)
+    agents = env.reset()
     # The second agent has another goal, for which that state is none to stop in.
-    after = move(NavigationEnv(world, 2, stop=stop), [4, 4], [0, 13], [RIGHT, RIGHT])
+    agents["state"], agents["goal"], agents["action"] = torch.tensor([[4, 4], [0, 13], [RIGHT, RIGHT]])
+    after = env.step(agents)["next"]
     assert Reward() == Reward(goal=10.0, step=-0.01, collision=-0.1)  # of the paper
     assert after["state"].tolist() == [5, 5]
     assert after["reward"].squeeze(-1).tolist() == pytest.approx([-0.01, -0.01])

@@ -8,7 +8,6 @@ from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews, ViewFeat
 from dirl.scenes import make_world
 
 AGENTS, STEPS = 6, 25
-BOTH = pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
 
 
 @pytest.fixture
@@ -16,15 +15,10 @@ def world():
     return make_world([grid_scene(3, 2, name="a", goals=(0, 13)), grid_scene(2, 2, name="b", goals=(9,))])
 
 
-def rollout(world, kind, seed=0):
-    """Random steps with many ends of episodes among them, ``[B, T]``."""
-    env = TransformedEnv(NavigationEnv(world, AGENTS, seed=seed), Compose(StepCounter(5), kind(world)))
-    torch.manual_seed(seed)
-    return env.rollout(STEPS, break_when_any_done=False)
-
-
 def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states(world):
-    steps = rollout(world, SequentialViews)
+    env = TransformedEnv(NavigationEnv(world, AGENTS), Compose(StepCounter(5), SequentialViews(world)))
+    torch.manual_seed(0)
+    steps = env.rollout(STEPS, break_when_any_done=False)
     assert steps["next", "done"].sum() > AGENTS
     for agent in steps:
         history = None
@@ -38,7 +32,7 @@ def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states
                 history = None
 
 
-@BOTH
+@pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
 def test_the_features_behind_the_views_are_looked_up_in_the_env(world, kind):
     transforms = Compose(StepCounter(5), kind(world), ViewFeatures(world.features))
     env = TransformedEnv(NavigationEnv(world, AGENTS), transforms)

@@ -21,10 +21,6 @@ def expert_action(world, goal_index, state):
     return ShortestPathExpert(world)(asked)["expert_action"]
 
 
-def shown_by_expert(world, fraction, rule="interval", seed=0):
-    return demonstrations(world, ShortestPathExpert(world), SurroundingViews(world), fraction, rule, seed)
-
-
 def test_optimal_actions_are_all_that_come_nearer_and_the_expert_takes_the_first(world):
     goal_index, state = (part[world.distances > 0] for part in world.pairs())
     after = world.distance(goal_index.unsqueeze(1), world.graph[state])
@@ -51,7 +47,7 @@ def test_random_states_are_a_fraction_and_depend_on_the_seed(world):
 )
 def test_states_are_counted_scene_by_scene(world, fraction, rule, states):
     reaching_another = set(states) - {37}
-    shows = shown_by_expert(world, fraction, rule)
+    shows = demonstrations(world, ShortestPathExpert(world), SurroundingViews(world), fraction, rule)
     assert set(shows["state"].tolist()) == reaching_another
     assert torch.equal(shows["scene"], world.scene_of[shows["state"]])
 
@@ -66,8 +62,8 @@ def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no
     assert RandomPolicy()(asked)["logits"].softmax(-1).tolist() == [[0.25] * 4] * 5
 
 
-def visited(world, goal_index, state, views=SurroundingViews):
-    goal, observation = world.goals[torch.tensor(goal_index)], views(world)
+def visited(world, goal_index, state):
+    goal, observation = world.goals[torch.tensor(goal_index)], SurroundingViews(world)
     seen = {
         "view_ids": observation.reset_view_ids(torch.tensor(state)),
         "goal_view_ids": observation.reset_view_ids(goal),

@@ -46,13 +46,13 @@ class Truth:
         return (link[2] - self.middles[link[0]] + 180) % 360 - 180
 
 
-def room_truth(middles=None, room=None):
-    """The tour of a room: each of its places, and a link for each free way to a neighbour, diagonals too."""
-    way = walk(room or closet(), 360 / HEADINGS)
+def room_truth():
+    """The tour of the closet: each of its places, and a link for each free way to a neighbour, diagonals too."""
+    way = walk(closet(), 360 / HEADINGS)
     ahead = way.graph[:, AHEAD]
     states = np.flatnonzero(ahead >= 0)
     links = [(int(s // HEADINGS), int(ahead[s] // HEADINGS), float(s % HEADINGS * 45)) for s in states]
-    return Truth(way.places, np.zeros(len(way.places)) if middles is None else np.asarray(middles), links)
+    return Truth(way.places, np.zeros(len(way.places)), links)
 
 
 def grid_truth(width, depth, middles=None):
@@ -197,26 +197,25 @@ def _tiled(folder, truth, camera, index, side):
     return {"path": "/%l/%s%y_%x", "fallbackPath": "/fallback/%s", "extension": "jpg", **sizes}
 
 
-def write_table(folder, truth, camera, side=48, *, places=True):
-    """Images with ``links.csv`` and, if asked for, ``panoramas.csv``."""
+def write_table(folder, truth, camera, side=48):
+    """Images with ``links.csv`` and ``panoramas.csv``."""
     for index, name in enumerate(truth.names):
         save(camera.panorama(truth, index, 4 * side), folder / f"{name}.jpg")
     with (folder / "links.csv").open("w", newline="") as stream:
         rows = [(f"{truth.names[link[0]]}.jpg", f"{truth.names[link[1]]}.jpg", truth.yaw(link)) for link in truth.links]
         csv.writer(stream).writerows([("image", "to", "yaw"), *rows])
-    if places:
-        with (folder / "panoramas.csv").open("w", newline="") as stream:
-            rows = [(f"{name}.jpg", *place, "") for name, place in zip(truth.names, truth.places, strict=True)]
-            csv.writer(stream).writerows([("image", "x", "z", "heading"), *rows])
+    with (folder / "panoramas.csv").open("w", newline="") as stream:
+        rows = [(f"{name}.jpg", *place, "") for name, place in zip(truth.names, truth.places, strict=True)]
+        csv.writer(stream).writerows([("image", "x", "z", "heading"), *rows])
     return folder
 
 
 WRITERS = {"marzipano": write_marzipano, "krpano": write_krpano, "pannellum": write_pannellum, "table": write_table}
 
 
-def written(kind, folder, truth=None):
-    """A small tour of grey pictures, of four places if not told otherwise."""
-    return WRITERS[kind](folder, truth or grid_truth(2, 2), Camera360(), 8)
+def written(kind, folder):
+    """A small tour of grey pictures, of four places."""
+    return WRITERS[kind](folder, grid_truth(2, 2), Camera360(), 8)
 
 
 def save(pixels, file):

@@ -70,9 +70,6 @@ class Comparing(ComparingEncoder):
         super().__init__(num_features, (2, 2), width, comparison=9, projection=3, view_projection=4, pair_width=5)
 
 
-OWN = pytest.mark.parametrize("encoder", [SiameseEncoder, Attention, Comparing])
-
-
 def cached_and_plain(encoder, surrounding, front=False):
     expected = standardised_policy(encoder=encoder)
     policy = copy.deepcopy(expected)
@@ -80,7 +77,7 @@ def cached_and_plain(encoder, surrounding, front=False):
     return policy, expected
 
 
-@OWN
+@pytest.mark.parametrize("encoder", [SiameseEncoder, Attention, Comparing])
 @pytest.mark.parametrize("kind", ["surrounding", "sequential", "some photos"])
 @pytest.mark.parametrize("late", [False, True], ids=["as on a CPU", "as on a GPU"])
 def test_an_encoder_of_ones_own_computes_the_same_cached(encoder, kind, late, monkeypatch):

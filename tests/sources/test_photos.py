@@ -16,13 +16,13 @@ from dirl.sources.video import photo_field_of_view
 HEADER = "image,location,heading,x,z,ahead"
 
 
-def corridor(turns=4, offset=0):
+def corridor(offset=0):
     """Two places, hall and door, one metre apart; ahead of the hall, looking along +x, is the door."""
     lines = []
     for location, x in (("hall", 0), ("door", 1)):
-        for turn in range(turns):
-            heading = offset + 360 * turn / turns
-            ahead = {("hall", turns // 4): "door", ("door", 3 * turns // 4): "hall"}.get((location, turn), "")
+        for turn in range(4):
+            heading = offset + 90 * turn
+            ahead = {("hall", 1): "door", ("door", 3): "hall"}.get((location, turn), "")
             lines.append(f"{location}_{turn}.png,{location},{heading:g},{x},0,{ahead}")
     return lines
 

@@ -36,10 +36,10 @@ def gradients(network, loss):
     return {name: parameter.grad for name, parameter in network.named_parameters()}
 
 
-def made(name, network, entropy, value, *options):
+def made(name, network, *options):
     """The loss as ``conf/objective`` describes it, with constant coefficients."""
-    coefficients = [f"reinforcement.entropy_coef={{start:{entropy},end:{entropy}}}"]
-    config = train_config(f"objective={name}", *coefficients, f"reinforcement.critic_coef={value}", *options)
+    coefficients = ["reinforcement.entropy_coef={start:0.02,end:0.02}", "reinforcement.critic_coef=0.25"]
+    config = train_config(f"objective={name}", *coefficients, *options)
     operator = network.operator()
     heads = {"actor_network": operator.get_policy_head(), "critic_network": operator.get_value_head()}
     return make(f"losses.{name}", config.losses[name], **heads)
@@ -69,14 +69,14 @@ def heads_of(network, frames):
     return taken, -(log_probs.exp() * log_probs).sum(-1), value
 
 
-def check_losses(network, loss, frames, objective, entropy, value, reduce):
+def check_losses(network, loss, frames, objective, reduce):
     """Losses and gradients against the formulas: a gain for each frame, an entropy bonus and squared errors."""
     found = loss(frames)
     taken, entropies, values = heads_of(network, frames)
     expected = {
         "loss_objective": -reduce(objective(taken, frames["advantage"].squeeze(-1))),
-        "loss_entropy": -entropy * reduce(entropies),
-        "loss_critic": value * reduce((values - frames["value_target"].squeeze(-1)) ** 2),
+        "loss_entropy": -0.02 * reduce(entropies),
+        "loss_critic": 0.25 * reduce((values - frames["value_target"].squeeze(-1)) ** 2),
     }
     losses = {key: found[key] for key in found.keys() if key.startswith("loss_")}  # noqa: SIM118
     torch.testing.assert_close(losses, expected)
@@ -86,9 +86,9 @@ def check_losses(network, loss, frames, objective, entropy, value, reduce):
 
 @pytest.mark.parametrize("reduction", ["mean", "sum"])
 def test_a2c_is_the_papers_formula(network, frames, reduction):
-    loss = made("a2c", network, 0.02, 0.25, f"reinforcement.reduction={reduction}")
+    loss = made("a2c", network, f"reinforcement.reduction={reduction}")
     gain = lambda taken, advantage: taken * advantage  # noqa: E731
-    check_losses(network, loss, frames, gain, 0.02, 0.25, getattr(torch, reduction))
+    check_losses(network, loss, frames, gain, getattr(torch, reduction))
 
 
 def test_ppo_clips_the_ratio(network, frames):
@@ -99,8 +99,8 @@ def test_ppo_clips_the_ratio(network, frames):
         ratio = (taken - old).exp()
         return torch.minimum(ratio * advantage, ratio.clamp(0.7, 1.3) * advantage)
 
-    loss = made("ppo", network, 0.02, 0.25, "losses.ppo.clip_epsilon=0.3")
-    check_losses(network, loss, frames, gain, 0.02, 0.25, torch.mean)
+    loss = made("ppo", network, "losses.ppo.clip_epsilon=0.3")
+    check_losses(network, loss, frames, gain, torch.mean)
 
 
 @pytest.fixture(scope="module")
@@ -113,18 +113,13 @@ def rollout():
     return operators, collect(env, operators, env.reset(), 15)[0]
 
 
-@torch.no_grad()
-def next_values(rollout):
-    """The value of the state behind each step, asked for one by one, ``[B, T, 1]``."""
-    operators, batch = rollout
-    return operators.get_value_operator()(batch["next"].reshape(-1))["state_value"].view(10, 15, 1)
-
-
 @pytest.mark.parametrize(("gamma", "lmbda"), [(0.9, 1.0), (0.99, 0.95)])
 def test_advantages_equal_the_sum_over_time(rollout, gamma, lmbda):
     operators, batch = rollout
-    following = next_values(rollout)
-    batch = make_advantages(gamma, lmbda)(bootstrap(batch.clone(), operators.get_value_operator()))
+    critic = operators.get_value_operator()
+    with torch.no_grad():  # of the state behind each step, asked for one by one
+        following = critic(batch["next"].reshape(-1))["state_value"].view(10, 15, 1)
+    batch = make_advantages(gamma, lmbda)(bootstrap(batch.clone(), critic))
     flags = [batch["next", key].squeeze(-1) for key in ("terminated", "truncated")]
     assert all(flag[:, :-1].any() for flag in flags)
     for agent in range(10):
@@ -158,13 +153,10 @@ def logits_of(network, batch):
     return network(batch.copy())["logits"]
 
 
-def imitation(network, **options):
-    return ImitationLoss(network.operator().get_policy_operator(), **options)
-
-
 @pytest.mark.parametrize("reduction", [{}, {"reduction": "sum"}, {"reduction": "none"}])
 def test_imitation_is_cross_entropy(network, demonstrations, reduction):
-    found = imitation(network, **reduction)(demonstrations)["loss_imitation"]
+    loss = ImitationLoss(network.operator().get_policy_operator(), **reduction)
+    found = loss(demonstrations)["loss_imitation"]
     expected = F.cross_entropy(logits_of(network, demonstrations), demonstrations["expert_action"], **reduction)
     torch.testing.assert_close(found, expected)
     torch.testing.assert_close(gradients(network, found.sum()), gradients(network, expected.sum()))
@@ -182,24 +174,19 @@ def test_any_optimal_action_is_right(network, demonstrations):
     assert result["accuracy"].item() == pytest.approx(right.float().mean().item())
 
 
-def by_formula(weight, gradient_steps, lr, alpha=0.99, eps=0.1):
-    """TensorFlow's update, written out."""
-    square = 1.0
-    for gradient in gradient_steps:
-        square = alpha * square + (1 - alpha) * gradient**2
-        weight = weight - lr * gradient / (square + eps) ** 0.5
-    return weight
-
-
 def test_rmsprop_is_tensorflows():
+    """Its update written out, with a decay of 0.99 and an epsilon of 0.1."""
     torch.manual_seed(0)
     weights, gradient_steps = torch.randn(3, dtype=torch.float64), torch.randn(30, 3, dtype=torch.float64) * 5
     parameter = torch.nn.Parameter(weights.clone())
     optimiser = TFRMSprop([parameter], lr=0.1)
+    square = 1.0
     for gradient in gradient_steps:
         parameter.grad = gradient.clone()
         optimiser.step()
-    torch.testing.assert_close(parameter.data, by_formula(weights, gradient_steps, 0.1))
+        square = 0.99 * square + 0.01 * gradient**2
+        weights = weights - 0.1 * gradient / (square + 0.1) ** 0.5
+    torch.testing.assert_close(parameter.data, weights)
 
 
 @pytest.mark.parametrize(("per_variable", "expected"), [(False, [[0.6, 0.0], [0.0, 0.8]]), (True, [[1, 0], [0, 1]])])

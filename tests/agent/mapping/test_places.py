@@ -125,8 +125,8 @@ def test_many_particles_make_a_better_map_than_one_where_single_looks_err():
     assert wrong(64) < wrong(1) / 4
 
 
-def walked(mapper, world, seed, start=3):
-    generator, state, passed, action = torch.Generator().manual_seed(seed), start, [], None
+def walked(mapper, world, seed):
+    generator, state, passed, action = torch.Generator().manual_seed(seed), 3, [], None
     for _ in range(2 * len(world)):
         look = int(torch.randint(world.looks, (), generator=generator))
         mapper.see(world.surrounding[state] + look * len(world), action)

@@ -47,18 +47,13 @@ def test_scores_are_the_coefficients_of_every_goal_with_every_state(match, world
             assert score.item() == pytest.approx(np.corrcoef(here, there)[0, 1], abs=1e-5)
 
 
-def stops_of(world, stop):
-    """Goal index and state of every pair in which an agent stops."""
-    return torch.stack(world.pairs(), 1)[stop].tolist()
-
-
 def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
     # Both scenes look the same everywhere, and so do the places that a wall cuts off.
     rooms = [grid_scene(3, 1, name=name, goals=(1,), blocked=[(1, 0)]) for name in ("a", "b")]
     world = make_world(rooms)
     world.features[:] = torch.rand(16)
-    stop = TemplateStop()(world)
-    assert stops_of(world, stop) == [[0, state] for state in range(4)] + [[1, 8 + state] for state in range(4)]
+    stops = torch.stack(world.pairs(), 1)[TemplateStop()(world)].tolist()
+    assert stops == [[0, state] for state in range(4)] + [[1, 8 + state] for state in range(4)]
 
 
 def test_a_state_stops_only_above_the_threshold(world):

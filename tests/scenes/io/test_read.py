@@ -18,11 +18,6 @@ def put(path, **datasets):
                 file[name] = value
 
 
-def mark(path, **attributes):
-    with h5py.File(path, "a") as file:
-        file.attrs.update(attributes)
-
-
 def picture(state, height=6, width=8):
     return np.full((height, width, 3), 10 * state, np.uint8)
 
@@ -73,7 +68,8 @@ def test_encoded_images_are_seen_and_go_before_raw_ones(dump):
 def test_columns_may_be_in_any_declared_order(scene, dump):
     order = ("right", "back", "ahead", "left")
     put(dump, graph=scene.graph[:, [ACTIONS.index(action) for action in order]])
-    mark(dump, actions=np.array(order, "S"))
+    with h5py.File(dump, "a") as file:
+        file.attrs["actions"] = np.array(order, "S")
     assert (read_here(dump).graph == scene.graph).all()
 
 

@@ -9,10 +9,9 @@ FAR_APART = {(6, 11), (8, 9), (17, 22), (19, 24)}
 """Of the 49 pairs of links in a grid of 6 by 5; whatever part is cut off, most of the links to it are right."""
 
 
-def errors(found, truth, here=None):
+def errors(found, truth):
     """How far off headings are, degrees, up to the zero that they share."""
-    here = slice(None) if here is None else here
-    off = np.radians((found.headings - truth.middles)[here])
+    off = np.radians(found.headings - truth.middles)
     return np.abs(wrap(np.degrees(off - np.angle(np.exp(1j * off).mean()))))
 
 
