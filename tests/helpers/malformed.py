@@ -6,9 +6,9 @@ import h5py
 import numpy as np
 import pytest
 from PIL import Image
-from rooms import grid_scene, published_dump
+from rooms import grid_scene, published_dump, read_here
 
-from dirl.scenes import SceneError, read_dump
+from dirl.scenes import SceneError
 from dirl.scenes.views import encode
 
 VIEW = encode(np.arange(12 * 16 * 3, dtype=np.uint8).reshape(12, 16, 3))
@@ -64,7 +64,7 @@ def make(path, spoil):
 def refused(path):
     """What the one `SceneError` says after the name of the file."""
     with pytest.raises(SceneError) as caught:
-        read_dump(path, isolated=False)
+        read_here(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert caught.value.__cause__ is None

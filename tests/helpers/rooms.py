@@ -2,6 +2,7 @@
 
 import h5py
 import numpy as np
+from forks import reading_in_process
 
 from dirl.perception.backbones.patches import FINE, PATCH_SHAPE
 from dirl.scenes import Scene, read_dump
@@ -78,9 +79,10 @@ def grid_scene(
     )
 
 
-def read_here(path, **options):
+def read_here(path):
     """The scene of a file, read in this process, which takes no time; for tests of what files hold."""
-    return read_dump(path, isolated=False, **options)
+    with reading_in_process():
+        return read_dump(path)
 
 
 def renumbered(scene, order):

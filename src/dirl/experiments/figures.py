@@ -11,10 +11,10 @@ from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.reporting.style import plain, write_figure
 
 
-def panels(count: int, size: tuple[float, float], *, sharey: bool = True) -> tuple[Figure, list[Axes]]:
+def panels(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     """Make a figure of so many panels side by side, ``size`` in inches."""
     figure = Figure(figsize=size, layout="constrained")
-    grid = list(figure.subplots(1, count, sharey=sharey, squeeze=False)[0])
+    grid = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
     for axes in grid:
         plain(axes)
     return figure, grid

@@ -43,11 +43,11 @@ LIKELY, SAMPLE = 60, 40
 
 
 class ColumnNet(nn.Module):
-    """Columns of frames as vectors of a size, and the depth in each; 126,000 parameters. A `FrameMatcher`."""
+    """Columns of frames as vectors, and the depth in each; 126,000 parameters. A `FrameMatcher`."""
 
     kind = "columns"
 
-    def __init__(self, size: int = 64) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.trunk = nn.Sequential(
             _convolution(nn.Conv2d(3, 24, 5, (3, 2), 2, bias=False)),
@@ -58,7 +58,7 @@ class ColumnNet(nn.Module):
             _convolution(nn.Conv1d(240, 96, 3, padding=1, bias=False)),
             _convolution(nn.Conv1d(96, 96, 3, padding=1, bias=False)),
         )
-        self.look = nn.Sequential(nn.Conv1d(96, size, 1, bias=False), nn.BatchNorm1d(size, affine=False))
+        self.look = nn.Sequential(nn.Conv1d(96, 64, 1, bias=False), nn.BatchNorm1d(64, affine=False))
         self.depth = nn.Conv1d(96, 1, 1)
         self.sharp = nn.Parameter(torch.tensor(2.3))
         self.none = nn.Parameter(torch.tensor(3.0))

@@ -22,13 +22,13 @@ def iqm(values: ArrayLike) -> FloatArray:
     return runs[cut : len(runs) - cut].mean(0)
 
 
-def bootstrap_interval(values: ArrayLike, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+def bootstrap_interval(values: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return the 95 % percentile bootstrap interval of the interquartile mean, by resampling the runs.
 
     Lower and upper limit, float ``[...]`` each, of values as for `iqm`; of one run both are the value itself.
     """
     runs = np.asarray(values, float)
-    drawn = np.random.default_rng(seed).integers(len(runs), size=(len(runs), RESAMPLES))
+    drawn = np.random.default_rng(0).integers(len(runs), size=(len(runs), RESAMPLES))
     # Nearest ranks: nothing is interpolated between a number and infinity.
     low, high = np.percentile(iqm(runs[drawn]), [2.5, 97.5], axis=0, method="nearest")
     return low, high

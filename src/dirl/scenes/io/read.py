@@ -67,29 +67,24 @@ class Dump:
     """Its origin; the file's attribute ``source`` or "unlabelled" if left out."""
 
 
-def read_dump(path: str | Path, *, isolated: bool = True) -> Scene:
-    """Read and check one scene.
-
-    Args:
-        path: the HDF5 file.
-        isolated: read the file in a separate process, with limits of time and memory, because libhdf5 can crash or
-            hang on a damaged one. A built-in room with the right checksum is always read in this process.
+def read_dump(path: str | Path) -> Scene:
+    """Read one scene from its HDF5 file, and check it.
 
     Raises:
         SceneError: the file is missing, damaged or invalid. The message names the file,
             the dataset, and the first offending state.
     """
-    return read_dumps([Dump(Path(path))], isolated=isolated)[0]
+    return read_dumps([Dump(Path(path))])[0]
 
 
-def read_dumps(dumps: Sequence[Dump], *, isolated: bool = True) -> list[Scene]:
-    """Read several scenes, see `read_dump`; one process serves all that are to be isolated."""
+def read_dumps(dumps: Sequence[Dump]) -> list[Scene]:
+    """Read several scenes, see `read_dump`; one separate process reads all that are no built-in rooms."""
     for dump in dumps:
         if not dump.path.is_file():
             raise SceneError(f"{dump.path}: there is no such file")
     intact = [_is_intact_room(dump.path) for dump in dumps]
     unknown = [dump.path.absolute() for dump, known in zip(dumps, intact, strict=True) if not known]
-    apart = read_apart(unknown) if isolated and unknown else map(read_contents, unknown)
+    apart = read_apart(unknown) if unknown else iter(())
     scenes = []
     for dump, known in zip(dumps, intact, strict=True):
         try:
