@@ -33,7 +33,7 @@ OUTSIDE = (
 """Encoder, heads and a loss that are not the package's."""
 
 
-def make_states(room, options=VARIED):
+def make_states(room, options):
     """The parts and the states of runs."""
     every = [make_parts(f"scene={room}", *TINY, *own) for own in options]
     return every, [train_state(parts) for parts in every]

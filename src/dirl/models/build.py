@@ -169,7 +169,7 @@ def tell_of_turns(trained: Collection[int], used: Collection[int], origin: str) 
         )
 
 
-def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, scenes: Sequence[str] = ()) -> None:
+def load_weights(policy: nn.Module, weights: Mapping[str, Tensor], origin: str, scenes: Sequence[str]) -> None:
     """Load a checkpoint's weights, of ``scenes`` that are given only their heads; `ConfigError` if they do not fit."""
     heads = {name.replace(".", "_") for name in scenes} | {"shared"}
     try:

@@ -152,7 +152,7 @@ class Run:
         if self.logger is not None:
             self.logger.log(stage, step, row)
 
-    def save_due(self, runs: int = 1) -> bool:
+    def save_due(self, runs: int) -> bool:
         """Return True if it is time for the next checkpoint; the more runs are saved together, the longer it takes."""
         return time.perf_counter() - self._last_save >= runs * self.config.checkpoint.every_seconds
 

@@ -162,7 +162,7 @@ def split_of(seed: int) -> str | None:
     return splits[-1] if splits else None
 
 
-def collection_files(folder: Path, split: str | None = None) -> list[Path]:
+def collection_files(folder: Path, split: str | None) -> list[Path]:
     """Return the dumps of a collection, or of one of its splits, by seed; `SceneError` if there are none."""
     rooms = [(int(name[2]), name[1], path) for path in folder.glob("*.h5") if (name := ROOM.fullmatch(path.stem))]
     if not rooms:

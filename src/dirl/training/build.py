@@ -352,9 +352,7 @@ def load_trained(
     return Trained(config, policy, build_protocol(config, world, observation, held_out))
 
 
-def saved_config(
-    saved: State, origin: str, changes: Mapping[str, Any] | None = None, trust: Collection[str] = ()
-) -> TrainConfig:
+def saved_config(saved: State, origin: str, changes: Mapping[str, Any] | None, trust: Collection[str]) -> TrainConfig:
     """Return the configuration of a checkpoint with the changes of `load_trained`, but for the seed.
 
     Goals are sampled with the seed of the training: with another, trained ones would count as held out.

@@ -434,6 +434,6 @@ def _course(graph: FrameMap, matcher: FrameMatcher, some: NDArray[np.int64]) -> 
     return leads_back
 
 
-def load_matcher(kind: str | None = None) -> FrameMatcher:
+def load_matcher(kind: str | None) -> FrameMatcher:
     """Return what describes and compares frames: by points of photographs (`Matcher`), or by ``columns`` of walls."""
     return load_column_net() if kind == "columns" else Matcher(kind)

@@ -29,7 +29,7 @@ PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 
 
 def load_projection(
-    device: str | torch.device = "cpu", file: Path = PROJECTION, cells: tuple[int, int] = CELLS
+    device: str | torch.device, file: Path = PROJECTION, cells: tuple[int, int] = CELLS
 ) -> Callable[[Tensor], Tensor]:
     """Load a shipped projection of an inner stage's map, ``[B, C, H, W]``, to patches, float32 ``[B, cells, 96]``.
 

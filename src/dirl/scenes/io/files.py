@@ -228,7 +228,7 @@ def inside(folder: Path, name: object, where: str) -> Path:
     return file
 
 
-def text_of(file: Path, most: int = MOST) -> str:
+def text_of(file: Path, most: int) -> str:
     """Return the text of a file that somebody else wrote, UTF-8; `SceneError` if it cannot be read, or is none."""
     try:
         return read_text(file, most, encoding="utf-8-sig")

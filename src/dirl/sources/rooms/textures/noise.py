@@ -27,7 +27,7 @@ def mix(a: Array, b: Array, share: Array) -> Array:
     return a * (1 - share[..., None]) + b * share[..., None]
 
 
-def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx: int, octaves: int = 5) -> Array:
+def fractal_noise(rng: np.random.Generator, height: int, width: int, fy: int, fx: int, octaves: int) -> Array:
     """Return value noise in [0, 1] that repeats seamlessly, float64 ``[height, width]``.
 
     Of the coarsest octave there are ``fy`` cells along the rows and ``fx`` along the columns; every further octave
