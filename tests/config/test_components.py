@@ -11,6 +11,7 @@ from refusals import refused
 from torch import nn
 
 from dirl.config.components import check_components, components, find_class, make, packages_to_trust, schedules
+from dirl.config.folders import CONF
 from dirl.config.schemas import Schedule
 
 
@@ -119,6 +120,11 @@ def test_every_component_of_a_configuration_is_found():
     config = train_config()
     config.losses["a2c"]["gama"] = 1
     assert refusal(check_components, config).startswith("there is no option 'losses.a2c.gama'")
+
+
+@pytest.mark.parametrize("system", sorted(file.stem for file in (CONF / "system").glob("*.yaml")))
+def test_every_system_gives_its_components_options_that_they_have(system):
+    check_components(train_config(f"system={system}"), ())
 
 
 def test_schedules_are_weights_and_what_has_a_start_and_an_end():

@@ -1,15 +1,16 @@
 """Navigation by a topological map as a policy that is evaluated like any other: match, plan, go; nothing is learned."""
 
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import torch
+from annotated_types import Ge, Interval
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dirl.agent.mapping.image_graph import ImageGraph, MapError
 from dirl.agent.mapping.walks import explore
-from dirl.perception.recognition.recogniser import NCC, Recogniser, described_visits
+from dirl.perception.recognition.recogniser import NCC, described_visits
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.world import World
@@ -82,23 +83,33 @@ class GraphMemory(TensorDictModuleBase):
     Args:
         world: where; the walker learns of it only what it sees and does.
         steps_per_state: length of the walk, in steps for each state of a scene.
-        recogniser: by which two observations are of the same place and heading; correlation if left out.
+        threshold: above this score two observations are of the same place and heading.
+        seed: of the states where the walks begin.
+        recogniser: by which they are; correlation if left out. One with log odds has a threshold of its own.
     """
 
     in_keys: ClassVar = ["view_ids", "goal_view_ids"]
     out_keys: ClassVar = ["logits"]
 
-    def __init__(self, world: World, steps_per_state: float = 2.0, recogniser: Recogniser | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        steps_per_state: Annotated[float, Interval(ge=0, le=100)] = 2.0,
+        threshold: Annotated[float, Interval(ge=-1, le=1)] = 0.9,
+        seed: Annotated[int, Ge(0)] = 0,
+        recogniser: Any = None,
+    ) -> None:
         super().__init__()
         recogniser = recogniser or NCC()
+        least = None if recogniser.calibrated else threshold
         self.graphs: list[ImageGraph] = []
-        generator = torch.Generator().manual_seed(0)
+        generator = torch.Generator().manual_seed(seed)
         # The place of the pair of a goal and a state is row[goal] + state, as in `World.pair`; photos come behind.
         row, photo = torch.full((len(world),), NO_GOAL), torch.zeros(len(world), dtype=torch.int64)
         actions, distances, size = [], [], 0
         for index, (scene, offset) in enumerate(zip(world.scenes, world.offsets, strict=True)):
             count, goals = len(scene), world.local_goals(index).cpu()
-            graph = ImageGraph(turns=turns_per_circle(scene.graph), recogniser=recogniser)
+            graph = ImageGraph(least, turns=turns_per_circle(scene.graph), recogniser=recogniser)
             visits = described_visits(recogniser, world, index)[:count].cpu()
             start = int(torch.randint(count, (1,), generator=generator))
             explore(scene, graph, start, round(steps_per_state * count), visits.__getitem__)
