@@ -1,5 +1,6 @@
 """Where a goal is believed to be: what visits say, facing any way and wherever they are, adds up in one grid."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -7,7 +8,7 @@ import torch
 
 from dirl.agent.agent import Localising
 from dirl.models import LocalisingMemory
-from dirl.models.belief import CLEAR, REACH, GoalBelief
+from dirl.models.belief import CLEAR, REACH, ROOM, GoalBelief, here_odds
 from dirl.scenes.graph import AHEAD, BACK, RIGHT
 
 SIDE = 9
@@ -69,6 +70,52 @@ def test_far_away_nothing_is_told_but_that_the_goal_is_unlikely():
     assert belief.odds(far)[0, 0] < -3 < 0 < belief.odds(far)[0, 1]
 
 
+def test_moves_to_the_goal_are_counted_along_the_axes_in_the_mean_of_where_it_may_be():
+    belief = GoalBelief(2)
+    belief.posterior.zero_()
+    belief.posterior[0, REACH + 3, REACH - 2] = 1.0
+    belief.posterior[1, REACH, REACH + 1] = belief.posterior[1, REACH + 4, REACH + 1] = 0.5
+    places = torch.tensor([[0.0, 0.0], [-2.0, 3.0], [1.0, -1.0]]).expand(2, -1, -1)
+    assert belief.moves(places).tolist() == [[5, 0, 7], [3, 5, 3]]
+
+
+def test_here_is_told_by_all_headings():
+    here, beside = here_odds(told(0, 0, sure=20.0)), here_odds(told(0, 1, sure=20.0))
+    assert here.item() == pytest.approx(9.0, abs=0.01)
+    assert beside.item() == pytest.approx(-9.0, abs=0.01)
+    torch.testing.assert_close(here_odds(told(0, 0).roll(1, 1)), here_odds(told(0, 0)))
+
+
+@pytest.mark.parametrize(("right", "ahead", "action"), [(0, 3, AHEAD), (0, -3, BACK), (0, 0, AHEAD)])
+def test_of_moves_not_tried_one_towards_the_goal_costs_less(right, ahead, action):
+    """The policy prefers the move ahead a little; the costs are those of moves, not of turns."""
+    costs = torch.tensor([1.0, 9.0, 9.0, 1.1]).expand(1, 4, 4)
+    memory, odds = LocalisingMemory(), torch.full((1, 4), -9.0)
+    places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, lambda chosen: costs)
+    belief = GoalBelief(1)
+    belief.see(told(right, ahead), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
+    assert memory.plan(places, belief).argmax(1).item() == action
+
+
+def test_which_place_it_is_the_locator_tells_and_which_heading_the_recogniser():
+    agent, visit = Localising(LocalisingMemory(), 4), torch.zeros(1, 4)
+    now = SimpleNamespace(
+        visit=visit,
+        inputs=visit,
+        arrows=None,
+        points=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        goal_odds=lambda *_: torch.tensor([[[4.0, 2.0, -1.0, -math.inf]]]),
+        place_odds=lambda: torch.tensor([2.0]),
+        displacement=lambda *_: None,
+        facing=lambda chosen: torch.zeros(1, 4, 4),
+    )
+    agent.arrive(now)
+    goal = agent.past.goal[0, 0]
+    assert goal[0] == pytest.approx(1 + 2 - math.log(1 + math.exp(-2) + math.exp(-5)))
+    assert (goal[1] - goal[0]).item() == pytest.approx(-3)
+    assert goal[3] == -math.inf  # shows nothing
+
+
 def test_a_memory_stops_at_a_place_that_looks_little_like_the_goal_where_the_goal_is_believed_to_be():
     memory = LocalisingMemory(neighbour=0.0)
     places = memory.begin(1)
@@ -83,12 +130,12 @@ def test_a_memory_stops_at_a_place_that_looks_little_like_the_goal_where_the_goa
 
 def test_where_the_goal_is_believed_to_lie_behind_an_exit_a_place_that_looks_like_it_is_not_certain():
     memory = LocalisingMemory(neighbour=0.0, elsewhere=1.0)
-    odds = torch.tensor([[11.0, -9.0, -9.0, -9.0]])
+    odds = torch.tensor([[9.0, -9.0, -9.0, -9.0]])
     places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, lambda chosen: torch.ones(len(chosen), 4, 4))
     belief = GoalBelief(1)
-    belief.told[0] = -4.0  # unlikely anywhere, here as well
+    belief.posterior[0] = math.exp(-4) / ROOM  # unlikely anywhere, here as well
     assert memory.stops(places, belief).item()
-    belief.told[0, REACH + 1, REACH] = CLEAR  # but a move ahead
+    belief.posterior[0, REACH + 1, REACH] = 1.0  # but a move ahead
     assert not memory.stops(places, belief).item()
 
 

@@ -88,6 +88,9 @@ class Observed(Protocol):
         Nobody tells it in panoramas, which stand anywhere.
         """
 
+    def place_odds(self) -> Tensor | None:
+        """Return the log odds that the goal's place is here, whatever the heading, float32 ``[B]``; None = unknown."""
+
     def at_goal(self) -> Tensor:
         """Return True where the recogniser takes this visit for the goal, bool ``[B]``."""
 
@@ -265,7 +268,12 @@ class Localising(Remembering):
             self.past = self.known.begin(now.goal_odds(earlier, earlier))
         alike = self.remember(now)
         assert self.seen is not None
-        odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] + now.points
+        odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
+        if self.known is None and (place := now.place_odds()) is not None:
+            # Which heading it is the recogniser knows well; which place, the network that locates the goal knows better.
+            shows = odds.isfinite()
+            odds = torch.where(shows, odds.log_softmax(1) + place[:, None], -math.inf)
+        odds = odds + now.points
         self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows, self.stayed(now))
         displacement = now.displacement() if self.known is None else None
         if displacement is not None:

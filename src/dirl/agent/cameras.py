@@ -11,6 +11,7 @@ from torchrl.modules import GRU, LSTM, GRUModule, LSTMModule
 from dirl.agent.agent import NEVER, four_of
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
+from dirl.models.belief import here_odds
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.recogniser import FRONT_THRESHOLD, ComparesPanoramas, Recogniser, ncc, panorama_odds
 from dirl.scenes import ACTIONS, Action
@@ -277,10 +278,21 @@ class Views:
 
     def displacement(self, earlier: Tensor | None = None) -> Tensor | None:
         """Return where the goals lie, or the places of earlier visits, facing each view."""
+        return self._located if earlier is None else self._locate(earlier)
+
+    def place_odds(self) -> Tensor | None:
+        """Return the log odds that the agents are at their goals' places; only fine patches tell them well."""
+        fine = self.features.shape[-1] > self.goal.policy.table.inputs
+        return here_odds(self._located) if fine and self._located is not None else None
+
+    @cached_property
+    def _located(self) -> Tensor | None:
+        return self._locate(self.goal.wanted(self.goal.features, len(self.features)))
+
+    def _locate(self, wanted: Tensor) -> Tensor | None:
         policy = self.goal.policy
         if policy.policy.locator is None or self.features.shape[1] > VIEWS:
             return None
-        wanted = self.goal.wanted(self.goal.features, len(self.features)) if earlier is None else earlier
         return policy.locate(self.features, wanted)
 
     def at_goal(self) -> Tensor:

@@ -13,6 +13,7 @@ from dirl.agent.agent import NEVER
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import VIEWS
 from dirl.models import caching, initial_state, recurrent_keys
+from dirl.models.belief import here_odds
 from dirl.models.distinct import EmbeddingCache, Keys, packable
 from dirl.perception.backbones.patches import are_fine
 from dirl.perception.recognition.recogniser import StopRule, VisitScores
@@ -265,10 +266,28 @@ class AgentBatch:
 
     def displacement(self, earlier: Tensor | None = None) -> Tensor | None:
         """Return where the goals that are shown lie, or the places of earlier visits, facing each view."""
-        ignored = self.known.sweeps and earlier is None
-        if self.known.locate is None or self.visit.shape[1] > VIEWS or ignored:
+        if earlier is None and self.known.sweeps:
             return None
-        return self.known.locate(self.visit, self._goal_view_ids(self.shown) if earlier is None else earlier)
+        if earlier is None and torch.equal(self.shown, self.wanted):
+            return self._located
+        return self._locate(self._goal_view_ids(self.shown) if earlier is None else earlier)
+
+    def place_odds(self) -> Tensor | None:
+        """Return the log odds that the agents are at their goals' places; only fine patches tell them well."""
+        patches = self.known.world.patches
+        if self._located is None or patches is None or not are_fine(patches):
+            return None
+        return here_odds(self._located)
+
+    @cached_property
+    def _located(self) -> Tensor | None:
+        """Where the goals lie, which may be others than those that are shown."""
+        return self._locate(self._goal_view_ids(self.wanted))
+
+    def _locate(self, view_ids: Tensor) -> Tensor | None:
+        if self.known.locate is None or self.visit.shape[1] > VIEWS:
+            return None
+        return self.known.locate(self.visit, view_ids)
 
     def at_goal(self) -> Tensor:
         """Return True where agents stop."""

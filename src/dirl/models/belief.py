@@ -18,6 +18,9 @@ photo, whose own error they share."""
 CLEAR = 6.0
 """The most that the posterior adds to the log odds of a place, or takes from them."""
 
+HERE_SLOPE, HERE_INTERCEPT = 1.0, 0.0
+"""Calibration of the log odds that a goal is here, in validation rooms."""
+
 ROOM = 30
 """Cells where a goal may be, before anything was seen."""
 
@@ -42,8 +45,8 @@ class GoalBelief:
         """The sum of the log probabilities of all visits: ``[b, y, x]`` of the cell ``y - REACH`` moves ahead and
         ``x - REACH`` to the right of the start."""
         self.visits, self.growth = 0, OF_A_PHOTO if photo else GROWTH
-        self.told = torch.zeros_like(self.cells)
-        """How much more likely the goal is in each cell than before anything was seen, a log ratio; as ``cells``."""
+        self.posterior = torch.full_like(self.cells, 1 / (2 * REACH + 1) ** 2)
+        """The probability that the goal is in each cell, as ``cells``."""
 
     def see(self, displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> None:
         """Add what a visit says of the goal.
@@ -58,17 +61,37 @@ class GoalBelief:
         for some in torch.arange(len(position), device=position.device).split(AGENTS_AT_ONCE):
             self.cells[some] += _from_the_start(displacement[some], position[some], heading[some], turns)
         self.visits += 1
-        posterior = (self.cells * self.visits ** (self.growth - 1)).flatten(1).log_softmax(1).view_as(self.cells)
-        self.told = (posterior + math.log(ROOM)).clamp(-CLEAR, CLEAR)
+        self.posterior = (self.cells * self.visits ** (self.growth - 1)).flatten(1).softmax(1).view_as(self.cells)
 
     def odds(self, position: Tensor) -> Tensor:
-        """Return ``told`` of positions, float32 ``[B, P, 2]`` as those of visits; float32 ``[B, P]``."""
+        """Return how much more likely the goal is at positions than before anything was seen, log ratios ``[B, P]``.
+
+        Positions are as those of visits, float32 ``[B, P, 2]``.
+        """
+        return (ROOM * self.posterior.flatten(1).gather(1, self._cells(position))).log().clamp(-CLEAR, CLEAR)
+
+    def moves(self, position: Tensor) -> Tensor:
+        """Return how many moves positions are from the goal in the mean, along the axes; as `odds`."""
+        cell = self._cells(position)
+        axis = torch.arange(2 * REACH + 1, device=cell.device)
+        apart = (axis[:, None] - axis).abs().float()
+        along_x, along_y = (self.posterior.sum(across) @ apart for across in (1, 2))
+        return along_x.gather(1, cell % len(axis)) + along_y.gather(1, cell // len(axis))
+
+    def _cells(self, position: Tensor) -> Tensor:
         right, ahead = (position.round().long() + REACH).clamp(0, 2 * REACH).unbind(-1)
-        return self.told.flatten(1).gather(1, ahead * (2 * REACH + 1) + right)
+        return ahead * (2 * REACH + 1) + right
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents, by mask or index."""
-        self.cells, self.told = self.cells[chosen], self.told[chosen]
+        self.cells, self.posterior = self.cells[chosen], self.posterior[chosen]
+
+
+def here_odds(located: Tensor) -> Tensor:
+    """Return the log odds that the goal is where agents stand, float32 ``[B]``, of `GoalBelief.see`'s displacement."""
+    middle = located.shape[-1] // 2
+    here = located[..., middle, middle].clamp(min=UNLIKELY).mean(1)
+    return HERE_SLOPE * here.exp().logit(eps=math.exp(UNLIKELY)) + HERE_INTERCEPT
 
 
 def _from_the_start(displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> Tensor:

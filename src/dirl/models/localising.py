@@ -32,6 +32,9 @@ UNLIKE = -7.0
 OTHER_ARROWS = -7.0
 """Added to the log odds of places whose arrows are others: they do not change with light or furniture."""
 
+TOWARDS = 0.5
+"""Cost of a move not tried for each move that the goal is away from where it leads, in nats."""
+
 UNASKED = math.log(len(ACTIONS))
 """Cost of an action facing a heading that was not seen, for which the policy cannot be asked: all are as likely."""
 
@@ -301,6 +304,8 @@ class LocalisingMemory(nn.Module):
     def plan(self, places: Places, belief: GoalBelief | None = None, *, steps: bool = False) -> Tensor:
         """Return the logits of the actions where the agents are, see `stops` and `PlanningMemory.plan`."""
         evidence = self._goal(places, belief)
+        if belief is not None:
+            places = replace(places, cost=places.cost + TOWARDS * _away(places, belief))
         turns = places.turns
         untried = (places.after < 0) & places.cost.isfinite()
         exits = untried.unflatten(1, (-1, turns)).flatten(2)  # at each place, [B, P, 4 K]
@@ -384,6 +389,15 @@ def _ahead(places: Places) -> Tensor:
     """Return where a move ahead would lead, in moves to the right and ahead of the start, float32 ``[B, K P, 2]``."""
     along = _steps(places.turns).to(places.heading.device)[places.headings]
     return (places.position[:, :, None] + along).flatten(1, 2) / MOVE
+
+
+def _away(places: Places, belief: GoalBelief) -> Tensor:
+    """Return how many moves the goal is believed to be from where moves not tried lead, float32 ``[B, N, 4]``."""
+    ahead = belief.moves(_ahead(places))
+    # A move back at one heading is the move ahead at the opposite one.
+    back = ahead.unflatten(1, (-1, places.turns)).roll(places.turns // 2, 2).flatten(1)
+    turned = torch.zeros_like(ahead)
+    return torch.where(places.after < 0, torch.stack([ahead, turned, turned, back], 2), 0.0)
 
 
 @cache
