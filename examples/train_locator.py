@@ -33,12 +33,12 @@ from dirl.scenes import World
 from dirl.scenes.catalogue import collection_files
 from dirl.training.build import load_trained
 
-PHOTOS, NEAR, COARSE = 0.5, 0.3, 0.15
-"""Shares of batches with goals of which only the view ahead is shown, of goals at most three moves away, where agents
-decide whether to stop, and of batches without fine patches, which not every scene has."""
+PHOTOS, COARSE = 0.5, 0.15
+"""Shares of batches with goals of which only the view ahead is shown, and without fine patches, which not every scene
+has."""
 
-SPREAD = 0.6
-"""Standard deviation of the target around the goal, in cells: to be off by one is no great error."""
+NEAR = {3: 0.3, 1: 0.15}
+"""Shares of goals at most three moves away and at most one, where agents decide whether to stop."""
 
 RATE, FINE_RATE, DECAY = 6e-4, 1.5e-3, 0.05
 
@@ -71,8 +71,6 @@ def main(rooms: str, out: str, steps: int, batch_size: int, seed: int) -> None:
     pairs = Pairs(protocol.world)
     locator = GoalLocator(deepcopy(policy.encoder), policy.heads.width, REACH)
     locator.fine.measure(pairs.patches)
-    axis = torch.arange(-REACH, REACH + 1)
-    spread = torch.softmax(-((axis[:, None] - axis).float() ** 2) / (2 * SPREAD**2), 1)
     compares = [*locator.fine.parameters(), *locator.fusion.parameters()]
     reads = [*locator.encoder.parameters(), *locator.layers.parameters()]
     optimiser = torch.optim.AdamW([{"params": reads}, {"params": compares}], RATE, weight_decay=DECAY)
@@ -90,8 +88,8 @@ def main(rooms: str, out: str, steps: int, batch_size: int, seed: int) -> None:
         # Facing right, what was to the right is ahead, and what was ahead is to the left; and so on.
         facing = [(right, ahead), (-ahead, right), (-right, -ahead), (ahead, -right)]
         cells = torch.stack([torch.stack(cell, 1) for cell in facing], 1).round().long().clamp(-REACH, REACH) + REACH
-        target = spread[cells[..., 1]][..., :, None] * spread[cells[..., 0]][..., None, :]
-        loss = -(target * located).sum((2, 3)).mean()
+        row_major = cells[..., 1] * locator.side + cells[..., 0]
+        loss = F.nll_loss(located.flatten(2).flatten(0, 1), row_major.flatten())
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -130,10 +128,11 @@ class Pairs:
         scene = torch.randint(len(sizes), (count,))
         first = torch.tensor(world.offsets[: len(sizes)])[scene]
         state, goal = (first + (torch.rand(count) * sizes[scene]).long() for _ in range(2))
-        for pair in range(int(NEAR * count)):
+        within = [reach for reach, share in NEAR.items() for _ in range(int(share * count))]
+        for pair, reach in enumerate(within):
             here = slice(int(first[pair]), int(first[pair] + sizes[scene[pair]]))
             moves = (self.positions[here] - self.positions[state[pair]]).abs().sum(1)
-            near = (moves < 3.5).nonzero()[:, 0]
+            near = (moves < reach + 0.5).nonzero()[:, 0]
             goal[pair] = here.start + near[torch.randint(len(near), ())]
         way = self.positions[goal] - self.positions[state]
         aside, faced = world.surrounding[state, 1], world.surrounding[state, 0]

@@ -164,7 +164,9 @@ def test_pairs_to_train_a_locator_with_say_where_goals_lie(monkeypatch):
         for _ in range(int(aside.abs().round())):
             side = world.graph[side, 0]
         assert (world.surrounding[wanted] == side).any()  # the place; the heading is another
-    assert (right.abs() + ahead.abs())[: int(NEAR * 64)].max() < 3.5
+    moves, three, one = right.abs() + ahead.abs(), int(64 * NEAR[3]), int(64 * NEAR[1])
+    assert moves[:three].max() < 3.5
+    assert moves[three : three + one].max() < 1.5
     table = FeatureTable(world.features, patches=coarse(world.patches))
     seen, mirrored = read(world, table, visit, False), read(world, table, visit, True)
     assert not torch.equal(seen[1], mirrored[1])

@@ -55,11 +55,6 @@ def test_visits_that_agree_make_sure_and_one_that_does_not_leaves_doubt():
             belief.see(told(right, ahead, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
         sure.append(belief.odds(goal).item())
     assert sure[3] < sure[0] < sure[1] < sure[2] <= CLEAR
-    alone, several = GoalBelief(1, photo=True), GoalBelief(1, photo=True)
-    for belief, visits in ((alone, 1), (several, 3)):
-        for _ in range(visits):
-            belief.see(told(2, 3, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
-    assert sure[0] == alone.odds(goal).item() < several.odds(goal).item() < sure[2]  # all visits share its error
 
 
 def test_far_away_nothing_is_told_but_that_the_goal_is_unlikely():

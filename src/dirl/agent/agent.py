@@ -270,7 +270,7 @@ class Localising(Remembering):
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
         if self.known is None and (place := now.place_odds()) is not None:
-            # Which heading it is the recogniser knows well; which place, the network that locates the goal knows better.
+            # The recogniser tells the heading, and the network that locates the goal which place this is.
             shows = odds.isfinite()
             odds = torch.where(shows, odds.log_softmax(1) + place[:, None], -math.inf)
         odds = odds + now.points
@@ -278,7 +278,7 @@ class Localising(Remembering):
         displacement = now.displacement() if self.known is None else None
         if displacement is not None:
             position, heading = self.past.pose
-            self.belief = self.belief or GoalBelief(agents, device, photo=now.goal_pooled.shape[1] == 1)
+            self.belief = self.belief or GoalBelief(agents, device)
             self.belief.see(displacement, position / MOVE, heading, self.turns)
         return self.memory.stops(self.past, self.belief)
 

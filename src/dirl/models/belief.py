@@ -11,15 +11,11 @@ REACH = 24
 UNLIKELY = -9.0
 """The least log probability of a cell: a network that was never wrong in training can be."""
 
-GROWTH, OF_A_PHOTO = 0.85, 0.5
-"""The mean of what n visits say counts n to this power: visits to one room err alike, most of all where the goal is a
-photo, whose own error they share."""
+GROWTH = 0.5
+"""The mean of what n visits say counts n to this power: they share the error of the goal's look."""
 
 CLEAR = 6.0
 """The most that the posterior adds to the log odds of a place, or takes from them."""
-
-HERE_SLOPE, HERE_INTERCEPT = 1.0, 0.0
-"""Calibration of the log odds that a goal is here, in validation rooms."""
 
 ROOM = 30
 """Cells where a goal may be, before anything was seen."""
@@ -37,14 +33,13 @@ class GoalBelief:
     Args:
         agents: B.
         device: of the grids.
-        photo: whether the goals are photos.
     """
 
-    def __init__(self, agents: int, device: torch.device | str = "cpu", *, photo: bool = False) -> None:
+    def __init__(self, agents: int, device: torch.device | str = "cpu") -> None:
         self.cells = torch.zeros((agents, 2 * REACH + 1, 2 * REACH + 1), device=device)
         """The sum of the log probabilities of all visits: ``[b, y, x]`` of the cell ``y - REACH`` moves ahead and
         ``x - REACH`` to the right of the start."""
-        self.visits, self.growth = 0, OF_A_PHOTO if photo else GROWTH
+        self.visits = 0
         self.posterior = torch.full_like(self.cells, 1 / (2 * REACH + 1) ** 2)
         """The probability that the goal is in each cell, as ``cells``."""
 
@@ -61,7 +56,7 @@ class GoalBelief:
         for some in torch.arange(len(position), device=position.device).split(AGENTS_AT_ONCE):
             self.cells[some] += _from_the_start(displacement[some], position[some], heading[some], turns)
         self.visits += 1
-        self.posterior = (self.cells * self.visits ** (self.growth - 1)).flatten(1).softmax(1).view_as(self.cells)
+        self.posterior = (self.cells * self.visits ** (GROWTH - 1)).flatten(1).softmax(1).view_as(self.cells)
 
     def odds(self, position: Tensor) -> Tensor:
         """Return how much more likely the goal is at positions than before anything was seen, log ratios ``[B, P]``.
@@ -91,7 +86,7 @@ def here_odds(located: Tensor) -> Tensor:
     """Return the log odds that the goal is where agents stand, float32 ``[B]``, of `GoalBelief.see`'s displacement."""
     middle = located.shape[-1] // 2
     here = located[..., middle, middle].clamp(min=UNLIKELY).mean(1)
-    return HERE_SLOPE * here.exp().logit(eps=math.exp(UNLIKELY)) + HERE_INTERCEPT
+    return here.exp().logit(eps=math.exp(UNLIKELY))
 
 
 def _from_the_start(displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> Tensor:

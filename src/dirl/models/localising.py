@@ -32,8 +32,11 @@ UNLIKE = -7.0
 OTHER_ARROWS = -7.0
 """Added to the log odds of places whose arrows are others: they do not change with light or furniture."""
 
-TOWARDS = 0.5
+TOWARDS = 1.5
 """Cost of a move not tried for each move that the goal is away from where it leads, in nats."""
+
+TWICE = 0.4
+"""Factor of the doubt that is left at a stop where a belief is added: what a visit says of its place is in both."""
 
 UNASKED = math.log(len(ACTIONS))
 """Cost of an action facing a heading that was not seen, for which the policy cannot be asked: all are as likely."""
@@ -344,7 +347,8 @@ class LocalisingMemory(nn.Module):
         anywhere = torch.full_like(behind[:, :1], math.log(self.elsewhere))
         every = torch.cat([evidence, behind, anywhere], 1).logsumexp(1)
         probability = (evidence[at, node] - every).exp()
-        return probability > torch.where(whole, self.settle, self.confidence)
+        confidence = self.confidence if belief is None else 1 - TWICE * (1 - self.confidence)
+        return probability > torch.where(whole, self.settle, confidence)
 
     def _expected(self, places: Places) -> tuple[Tensor, Tensor]:
         """Return position and heading by dead reckoning after the last action, int64 ``[B, 2]`` and ``[B]``."""
