@@ -148,7 +148,7 @@ def test_every_visit_tells_where_the_goal_lies(tmp_path, monkeypatch, world, pho
     navigator.reset(images_of(0 if photo else world.surrounding[0]))
     for state in (3, 4, 5):
         navigator.act(images_of(world.surrounding[state]))
-    assert navigator.agent.belief.visits == 3
+    assert navigator.agent.belief.visits.item() == 3
 
 
 def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world):

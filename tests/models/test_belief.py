@@ -157,3 +157,20 @@ def test_where_an_agent_was_a_step_ago_tells_whether_it_moved(action, lies):
     assert agent.stayed(now).item() == 0
     agent.before = None  # at the start of an episode
     assert agent.stayed(now) is None
+
+
+def test_how_long_a_move_is_is_learned_from_moves_and_what_was_told_by_another_length_is_forgotten():
+    agent, belief = Localising(LocalisingMemory(), 4), GoalBelief(1)
+    start, east = torch.zeros(1, 2), torch.zeros(1).long()
+    belief.see(told(0, 4), start, east, turns=4)
+    assert belief.odds(torch.tensor([[[0.0, 4.0], [0.0, 2.0]]]))[0].diff() < 0
+    agent.before, agent.action = torch.zeros(1, 4), torch.tensor([AHEAD])
+    for where in ((0, -2), (0, 0)):  # the second move is blocked
+        now = SimpleNamespace(inputs=agent.before, displacement=lambda before, where=where: told(*where, sure=9.0))
+        assert agent.stayed(now).sign().item() == (1 if where == (0, 0) else -1)
+        assert agent.lengths.argmax().item() == 1  # two cells
+    belief.see(told(0, 2), start + torch.tensor([0.0, 1.0]), east, turns=4, length=torch.tensor([2]))
+    assert most_likely(belief) == [0, 2]
+    belief.posterior.zero_()
+    belief.posterior[0, REACH + 4, REACH] = 1.0
+    assert belief.moves(torch.zeros(1, 1, 2)).item() == 2

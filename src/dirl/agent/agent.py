@@ -34,6 +34,9 @@ rooms this makes hardly a difference. See docs/decisions.md."""
 SAVED = 5.0
 """Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
 
+LONGEST, UNUSUAL = 4, -4.0
+"""Cells of the network that locates goals that a move may be long, and the log prior of more than one."""
+
 MANY = 50_000
 """Above this number of agents, one random number samples an action, where `torch.multinomial` draws four."""
 
@@ -254,6 +257,8 @@ class Localising(Remembering):
         """Where the goals are; None where nobody tells, and with a map, which tells it."""
         self.before: Tensor | None = None
         """What was seen a step ago, see `Observed.inputs`."""
+        self.lengths: Tensor | None = None
+        """Log probability, up to a constant, that a move is 1, 2, ... cells long, float32 ``[B, LONGEST]``."""
 
     def arrive(self, now: Observed) -> Tensor:
         """Take in what the agents see; return True where they stop, bool ``[B]``."""
@@ -279,24 +284,36 @@ class Localising(Remembering):
         if displacement is not None:
             position, heading = self.past.pose
             self.belief = self.belief or GoalBelief(agents, device)
-            self.belief.see(displacement, position / MOVE, heading, self.turns)
+            length = None if self.lengths is None else self.lengths.argmax(1) + 1
+            self.belief.see(displacement, position / MOVE, heading, self.turns, length)
         return self.memory.stops(self.past, self.belief)
 
     def stayed(self, now: Observed) -> Tensor | None:
-        """Return how much more likely this is seen if the last move was blocked, log ratios ``[B]``; None = unknown."""
+        """Return how much more likely this is seen if the last move was blocked, log ratios ``[B]``; None = unknown.
+
+        Where the place of a step ago lies after a move also tells how long a move is, in cells of the network.
+        """
         before, self.before = self.before, now.inputs
         if before is None or self.known is not None:
             return None
-        # After a move ahead the earlier place lies behind; facing right it is to the left, and so on.
-        lies = ((self.action == BACK).long() - (self.action == AHEAD).long())[:, None]
+        # After a move ahead the earlier place lies behind; facing right it is to the right, and so on.
+        lies = (self.action == BACK).long() - (self.action == AHEAD).long()
         if not lies.any():  # a turn is never blocked
             return torch.zeros(len(lies), device=lies.device)
         if (told := now.displacement(before)) is None:
             return None
         told, middle = told.clamp(min=UNLIKELY), told.shape[-1] // 2
-        rows, columns = (middle + lies * lies.new_tensor(way) for way in ((1, 0, -1, 0), (0, -1, 0, 1)))
-        agent, view = torch.arange(len(told), device=told.device)[:, None], torch.arange(VIEWS, device=told.device)
-        return (told[..., middle, middle] - told[agent, view, rows, columns]).mean(1)
+        agent, view = (torch.arange(size, device=told.device) for size in told.shape[:2])
+        cells = lies[:, None, None] * torch.arange(1 + min(LONGEST, middle), device=told.device)
+        rows, columns = (middle + cells * lies.new_tensor(way)[:, None] for way in ((1, 0, -1, 0), (0, -1, 0, 1)))
+        there = told[agent[:, None, None], view[:, None], rows, columns].mean(1)  # 0, 1, ... cells away
+        if self.lengths is None:
+            self.lengths = torch.full_like(there[:, 1:], UNUSUAL)
+            self.lengths[:, 0] = 0.0
+        blocked = self.memory.blocked
+        seen = torch.logaddexp(there[:, :1] + math.log(blocked), there[:, 1:] + math.log(1 - blocked))
+        self.lengths = self.lengths + torch.where(lies[:, None] != 0, seen, 0.0)
+        return there[:, 0] - there.gather(1, self.lengths.argmax(1, keepdim=True) + 1)[:, 0]
 
     def logits(self, now: Observed) -> Tensor:
         """Return the plan's logits."""
@@ -307,6 +324,8 @@ class Localising(Remembering):
         super().select(chosen)
         if self.before is not None:
             self.before = self.before[chosen]
+        if self.lengths is not None:
+            self.lengths = self.lengths[chosen]
         if self.belief is not None:
             self.belief.select(chosen)
 

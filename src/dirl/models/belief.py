@@ -39,12 +39,15 @@ class GoalBelief:
         self.cells = torch.zeros((agents, 2 * REACH + 1, 2 * REACH + 1), device=device)
         """The sum of the log probabilities of all visits: ``[b, y, x]`` of the cell ``y - REACH`` moves ahead and
         ``x - REACH`` to the right of the start."""
-        self.visits = 0
+        self.visits = torch.zeros(agents, device=device)
+        self.length = torch.ones(agents, dtype=torch.int64, device=device)
         self.posterior = torch.full_like(self.cells, 1 / (2 * REACH + 1) ** 2)
         """The probability that the goal is in each cell, as ``cells``."""
 
-    def see(self, displacement: Tensor, position: Tensor, heading: Tensor, turns: int) -> None:
-        """Add what a visit says of the goal.
+    def see(
+        self, displacement: Tensor, position: Tensor, heading: Tensor, turns: int, length: Tensor | None = None
+    ) -> None:
+        """Add what a visit says of the goal; forget what others said by another length of moves.
 
         Args:
             displacement: log probability that the goal lies so many moves ahead (rows) and to the right (columns) of
@@ -52,11 +55,19 @@ class GoalBelief:
             position: of the visit, to the right of and ahead of the start, in moves, float32 ``[B, 2]``.
             heading: of the first view, in right turns since the start, int64 ``[B]``.
             turns: in a full circle.
+            length: of a move, in cells, int64 ``[B]``; as before if left out.
         """
+        if length is not None:
+            self.cells[changed := self.length != length] = 0.0
+            self.visits[changed] = 0.0
+            self.length = length
+        position = position * self.length[:, None]
         for some in torch.arange(len(position), device=position.device).split(AGENTS_AT_ONCE):
             self.cells[some] += _from_the_start(displacement[some], position[some], heading[some], turns)
         self.visits += 1
-        self.posterior = (self.cells * self.visits ** (GROWTH - 1)).flatten(1).softmax(1).view_as(self.cells)
+        self.posterior = (
+            (self.cells * (self.visits ** (GROWTH - 1))[:, None, None]).flatten(1).softmax(1).view_as(self.cells)
+        )
 
     def odds(self, position: Tensor) -> Tensor:
         """Return how much more likely the goal is at positions than before anything was seen, log ratios ``[B, P]``.
@@ -71,15 +82,18 @@ class GoalBelief:
         axis = torch.arange(2 * REACH + 1, device=cell.device)
         apart = (axis[:, None] - axis).abs().float()
         along_x, along_y = (self.posterior.sum(across) @ apart for across in (1, 2))
-        return along_x.gather(1, cell % len(axis)) + along_y.gather(1, cell // len(axis))
+        away = along_x.gather(1, cell % len(axis)) + along_y.gather(1, cell // len(axis))
+        return away / self.length[:, None]
 
     def _cells(self, position: Tensor) -> Tensor:
+        position = position * self.length[:, None, None]
         right, ahead = (position.round().long() + REACH).clamp(0, 2 * REACH).unbind(-1)
         return ahead * (2 * REACH + 1) + right
 
     def select(self, chosen: Tensor) -> None:
         """Keep some of the agents, by mask or index."""
         self.cells, self.posterior = self.cells[chosen], self.posterior[chosen]
+        self.visits, self.length = self.visits[chosen], self.length[chosen]
 
 
 def here_odds(located: Tensor) -> Tensor:
