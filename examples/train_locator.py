@@ -95,7 +95,7 @@ def main(rooms: str, out: str, steps: int, batch_size: int, seed: int) -> None:
         optimiser.step()
         schedule.step()
         bar.set_postfix(loss=f"{loss.item():.2f}")
-    save_checkpoint(file, with_locator(saved, locator.eval()))
+    save_checkpoint(file, with_locator(saved, locator))
 
 
 class Pairs:

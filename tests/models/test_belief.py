@@ -134,6 +134,20 @@ def test_where_the_goal_is_believed_to_lie_behind_an_exit_a_place_that_looks_lik
     assert not memory.stops(places, belief).item()
 
 
+@pytest.mark.parametrize(("odds", "alone", "believed"), [(2.5, True, False), (3.5, True, True)])
+def test_more_is_asked_of_a_stop_where_a_belief_is_added(odds, alone, believed):
+    """Before anything was seen a belief changes no odds, but the doubt that is left must be less."""
+    memory = LocalisingMemory(neighbour=0.0, elsewhere=1 / 5, confidence=0.95)
+    seen = torch.tensor([[odds, -9.0, -9.0, -9.0]])
+    walls = torch.full((1, 4, 4), math.inf)
+    walls[0, 0, AHEAD] = 1.0  # one move was not tried
+    places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), seen, lambda _: walls)
+    belief = GoalBelief(1)
+    belief.posterior[:] = 1 / ROOM  # likelier nowhere
+    assert memory.stops(places).item() == alone
+    assert memory.stops(places, belief).item() == believed
+
+
 @pytest.mark.parametrize(("stayed", "places"), [(None, 2), (-5.0, 2), (5.0, 1)])
 def test_a_move_that_was_blocked_leads_to_no_new_place(stayed, places):
     """Without what the locator tells, a move ahead leads to a new place where nothing looks alike."""

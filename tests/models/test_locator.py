@@ -88,13 +88,21 @@ def test_cameras_and_worlds_are_told_the_same(photo, fine):
     torch.testing.assert_close(told_cameras, told(seen, goal))
 
 
+@pytest.mark.parametrize("fine", [True, False])
 @pytest.mark.parametrize("sweeps", [True, False])
-def test_a_sweep_is_told_where_it_was_but_not_where_its_goal_lies(sweeps):
-    world = make_world([grid_scene(3, 2)])
+def test_a_sweep_is_told_where_it_was_but_not_where_its_goal_lies(sweeps, fine):
+    world = make_world([grid_scene(3, 2, goals=[0, 7], patches="fine" if fine else False)])
     agent = SimpleNamespace(locator=locator(16), features=FeatureTable(world.features))
     locate = locating(RandomPolicy(agent) if sweeps else agent, world)
     known = WorldTables(world, SurroundingViews(world), None, lambda *_: None, locate=locate, sweeps=sweeps)
     goal, state = torch.zeros(2, dtype=torch.int64), torch.tensor([0, 5])
     now = AgentBatch(known, state, goal, goal, state, state, world.surrounding[state])
     assert (now.displacement() is None) == sweeps
+    # Whether it is at its goal a sweep is told too, as by a recogniser; coarse patches do not tell it well.
+    assert (now.place_odds() is None) != fine
+    elsewhere = AgentBatch(known, state, goal, goal + 1, state, state, world.surrounding[state])
+    if fine:
+        torch.testing.assert_close(elsewhere.place_odds(), now.place_odds())  # of its own goal, not of one it is shown
+    if not sweeps:
+        assert not torch.equal(elsewhere.displacement(), now.displacement())
     assert now.displacement(now.inputs).shape == (2, 4, 7, 7)

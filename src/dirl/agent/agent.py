@@ -258,7 +258,7 @@ class Localising(Remembering):
         self.before: Tensor | None = None
         """What was seen a step ago, see `Observed.inputs`."""
         self.lengths: Tensor | None = None
-        """Log probability, up to a constant, that a move is 1, 2, ... cells long, float32 ``[B, LONGEST]``."""
+        """Log probability, up to a constant, that a move is 1, 2, ... cells long, float32 ``[B, cells]``."""
 
     def arrive(self, now: Observed) -> Tensor:
         """Take in what the agents see; return True where they stop, bool ``[B]``."""
@@ -284,8 +284,7 @@ class Localising(Remembering):
         if displacement is not None:
             position, heading = self.past.pose
             self.belief = self.belief or GoalBelief(agents, device)
-            length = None if self.lengths is None else self.lengths.argmax(1) + 1
-            self.belief.see(displacement, position / MOVE, heading, self.turns, length)
+            self.belief.see(displacement, position / MOVE, heading, self.turns, self.length)
         return self.memory.stops(self.past, self.belief)
 
     def stayed(self, now: Observed) -> Tensor | None:
@@ -313,7 +312,12 @@ class Localising(Remembering):
         blocked = self.memory.blocked
         seen = torch.logaddexp(there[:, :1] + math.log(blocked), there[:, 1:] + math.log(1 - blocked))
         self.lengths = self.lengths + torch.where(lies[:, None] != 0, seen, 0.0)
-        return there[:, 0] - there.gather(1, self.lengths.argmax(1, keepdim=True) + 1)[:, 0]
+        return there[:, 0] - there[agent, self.length]
+
+    @property
+    def length(self) -> Tensor | None:
+        """How many cells a move is long, most probably, int64 ``[B]``; None before the first."""
+        return None if self.lengths is None else self.lengths.argmax(1) + 1
 
     def logits(self, now: Observed) -> Tensor:
         """Return the plan's logits."""

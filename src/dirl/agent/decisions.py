@@ -63,14 +63,23 @@ def locating(policy: nn.Module, world: World) -> Callable[[Tensor, Tensor], Tens
         return None
     locator.eval()  # it has dropout, and evaluations leave policies as they were trained
     features: Any = policy.features
-    fine = world.patches if world.patches is not None and are_fine(world.patches) else None
+    fine = fine_patches(world)
+
+    def located(seen: Tensor, goal: Tensor) -> Tensor:
+        patches = [] if fine is None else [fine[seen], fine[goal[:, goal[0] < len(fine)]]]
+        told: Tensor = locator(features(seen), features(goal), *patches)
+        return told
 
     def locate(seen: Tensor, goal: Tensor) -> Tensor:
-        patches = [] if fine is None else [fine[seen], fine[goal[:, goal[0] < len(fine)]]]
-        located: Tensor = locator(features(seen), features(goal), *patches)
-        return located
+        pairs = zip(seen.split(PAIRS_AT_ONCE), goal.split(PAIRS_AT_ONCE), strict=True)
+        return torch.cat([located(*some) for some in pairs])
 
     return locate
+
+
+def fine_patches(world: World) -> Tensor | None:
+    """Return the patches of a world's views, float16 ``[M, 48, 96]``; None if they are coarse, or missing."""
+    return world.patches if world.patches is not None and are_fine(world.patches) else None
 
 
 def _once_a_case(policy: nn.Module, world: World, observation: SurroundingViews) -> Decide:
@@ -274,8 +283,7 @@ class AgentBatch:
 
     def place_odds(self) -> Tensor | None:
         """Return the log odds that the agents are at their goals' places; only fine patches tell them well."""
-        patches = self.known.world.patches
-        if self._located is None or patches is None or not are_fine(patches):
+        if fine_patches(self.known.world) is None or self._located is None:
             return None
         return here_odds(self._located)
 

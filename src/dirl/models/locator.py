@@ -10,6 +10,12 @@ from dirl.perception.backbones.patches import FINE, FINE_SHAPE
 PAIRS_AT_ONCE = 256
 """Visits whose fine patches are compared at a time: a hundred megabytes."""
 
+KEPT, PROJECTED = 32, 32
+"""Channels of a patch that are compared as they are, and width of the learned projection."""
+
+COLUMNS_TOLD, VIEW_TOLD = 8, 128
+"""Numbers that are told of two columns, and of each view around the agent."""
+
 SCALE = 4.0
 """Factor of the cosines, so that the layers on them learn as fast as the others."""
 
@@ -17,13 +23,14 @@ SCALE = 4.0
 class GoalLocator(nn.Module):
     """Tell where the goal lies: the log probability of each cell around the agent, which stands in the middle.
 
-    A cell is as wide as a move is long. Rows lead ahead, columns to the right; what lies farther than ``reach`` moves
-    counts to the cells at the edge. Where views have fine patches these are compared too, and tell most.
+    A cell is as wide as a move was long in training, half a metre for the agent `general`. Rows lead ahead, columns to
+    the right; what lies farther than ``reach`` cells counts to those at the edge. Where views have fine patches these
+    are compared too, and tell most.
 
     Args:
         encoder: features of observation and goal, float32 ``[B, 4, D]`` each, to ``[B, width]``.
         width: see ``encoder``.
-        reach: moves ahead, behind and to either side.
+        reach: cells ahead, behind and to either side.
     """
 
     def __init__(self, encoder: nn.Module, width: int, reach: int) -> None:
@@ -31,7 +38,7 @@ class GoalLocator(nn.Module):
         self.side = 2 * reach + 1
         self.encoder = encoder
         self.fine = FinePairs()
-        self.fusion = nn.Linear(VIEWS * self.fine.width, width, bias=False)
+        self.fusion = nn.Linear(VIEWS * VIEW_TOLD, width, bias=False)
         self.layers = nn.Sequential(
             nn.Linear(width, width),
             nn.ReLU(),
@@ -77,32 +84,18 @@ class FinePairs(nn.Module):
     goal is a photo that was taken at its place, and what several of them tell is added up.
 
     Args:
-        projected: width of the learned projection of a patch.
-        kept: channels of a patch that are compared as they are.
-        hidden: width of the layer that reads the cosines of two columns.
-        told: numbers that are told of two columns.
-        width: numbers that are told of each view around the agent.
         dropout: of patches, in training.
     """
 
-    def __init__(
-        self,
-        projected: int = 32,
-        kept: int = 32,
-        hidden: int = 48,
-        told: int = 8,
-        width: int = 128,
-        dropout: float = 0.1,
-    ) -> None:
+    def __init__(self, dropout: float = 0.1) -> None:
         super().__init__()
         rows, columns = FINE
-        self.kept, self.width = kept, width
         self.register_buffer("mean", torch.zeros(FINE_SHAPE[1]))
         self.register_buffer("std", torch.ones(FINE_SHAPE[1]))
         self.dropout = nn.Dropout(dropout)
-        self.patch = nn.Linear(FINE_SHAPE[1], projected, bias=False)
-        self.columns = nn.Sequential(nn.Linear(2 * rows**2, hidden), nn.ReLU(), nn.Linear(hidden, told), nn.ReLU())
-        self.view = nn.Sequential(nn.Linear(columns**2 * told, width), nn.ReLU())
+        self.patch = nn.Linear(FINE_SHAPE[1], PROJECTED, bias=False)
+        self.columns = nn.Sequential(nn.Linear(2 * rows**2, 48), nn.ReLU(), nn.Linear(48, COLUMNS_TOLD), nn.ReLU())
+        self.view = nn.Sequential(nn.Linear(columns**2 * COLUMNS_TOLD, VIEW_TOLD), nn.ReLU())
 
     mean: Tensor
     std: Tensor
@@ -124,6 +117,6 @@ class FinePairs(nn.Module):
     def describe(self, patches: Tensor) -> tuple[Tensor, Tensor]:
         """Return patches projected and as they are, each of length one, ``[..., 48, 96]`` to ``[..., 6, 8, W]``."""
         standard = self.dropout((patches.float() - self.mean) / self.std)
-        parts = self.patch(standard), standard[..., : self.kept]
+        parts = self.patch(standard), standard[..., :KEPT]
         projected, kept = (F.normalize(part, dim=-1).unflatten(-2, FINE) for part in parts)
         return projected, kept
