@@ -1,5 +1,6 @@
 """Where a network says that the goal lies."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +15,7 @@ from dirl.models import FeatureTable, SiameseEncoder
 from dirl.models import locator as module
 from dirl.models.locator import FinePairs, GoalLocator
 from dirl.perception.backbones.patches import FINE_SHAPE, PATCH_SHAPE, coarse
+from dirl.perception.recognition.recogniser import NCC, VisitScores
 from dirl.scenes import make_world
 
 pytestmark = pytest.mark.quick
@@ -106,3 +108,5 @@ def test_a_sweep_is_told_where_it_was_but_not_where_its_goal_lies(sweeps, fine):
     if not sweeps:
         assert not torch.equal(elsewhere.displacement(), now.displacement())
     assert now.displacement(now.inputs).shape == (2, 4, 7, 7)
+    exact = VisitScores(NCC(returned=0.98), world)
+    assert replace(now, known=replace(known, scores=exact)).place_odds() is None  # correlation tells it better

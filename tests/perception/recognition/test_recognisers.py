@@ -98,3 +98,13 @@ def test_panoramas_are_compared_in_worlds_as_cameras_compare_them():
     # By correlation it is the mean of each four views, 90 degrees apart.
     fours = [(world.features[visit[:, ring::2]], world.features[seen[:, 1, ring::2]]) for ring in range(2)]
     assert torch.allclose(found[0, 1, 0], torch.stack([NCC().scores(*four) for four in fours]).mean(), atol=1e-5)
+
+
+def test_where_views_return_a_match_leaves_no_doubt():
+    world = make_world([grid_scene(3, 2, feature_width=64)])
+    exact, visits = NCC(returned=0.98), described_visits(NCC(), world, 0)
+    assert exact.calibrated
+    assert not NCC().calibrated
+    same = torch.eye(len(visits), dtype=torch.bool)
+    assert torch.equal(exact.scores(visits, visits), torch.where(same, 20.0, -20.0))
+    assert torch.equal(exact.scores(visits, visits[:, :1]), torch.where(same, 20.0, -20.0))

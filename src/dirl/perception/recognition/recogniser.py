@@ -22,6 +22,9 @@ from dirl.scenes.world import World
 FRONT_THRESHOLD = 0.95
 """Above which one photo matches: other places are more like a goal in one view than in four, see docs/decisions.md."""
 
+CERTAIN = 20.0
+"""Log odds that leave no doubt."""
+
 StopRule = Callable[[Tensor, Tensor], Tensor]
 """From goals, by their place among a world's goals plus G times their look, and the view ahead, by view id, int64
 ``[...]`` each, to whether an agent stops there, bool ``[...]``."""
@@ -145,11 +148,19 @@ def panorama_odds(seen: Tensor, wanted: Tensor, place: Tensor | None = None) -> 
 
 
 class NCC(nn.Module):
-    """Normalised cross-correlation of the pooled features of all views together (paper section 3.4, equation 13)."""
+    """Normalised cross-correlation of the pooled features of all views together (paper section 3.4, equation 13).
+
+    Args:
+        returned: where views return bit for bit, the correlation above which one has returned. Then scores are log odds
+            that leave no doubt.
+    """
 
     reads_patches = False
-    calibrated = False
     thresholds: Thresholds | None = None
+
+    def __init__(self, returned: float | None = None) -> None:
+        super().__init__()
+        self.returned, self.calibrated = returned, returned is not None
 
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
         """Return itself: it has no statistics."""
@@ -162,7 +173,8 @@ class NCC(nn.Module):
     def scores(self, seen: Tensor, references: Tensor) -> Tensor:
         """Return Pearson's coefficients, in [-1, 1], of as many views as references have; see `Recogniser.scores`."""
         seen = seen[..., : references.shape[-2], :]
-        return normal_vectors(seen.flatten(-2)) @ normal_vectors(references.flatten(-2)).transpose(-1, -2)
+        correlation = normal_vectors(seen.flatten(-2)) @ normal_vectors(references.flatten(-2)).transpose(-1, -2)
+        return correlation if self.returned is None else torch.where(correlation > self.returned, CERTAIN, -CERTAIN)
 
 
 def ncc(observation: Tensor, goal: Tensor) -> Tensor:
