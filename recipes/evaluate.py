@@ -27,7 +27,6 @@ from dirl.config.schemas import (
     Split,
     Starts,
     Stop,
-    TrainConfig,
 )
 from dirl.config.schemas import Episodes as EpisodeCount
 
@@ -124,12 +123,10 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dirl.agent.decisions import fine_patches
 from dirl.agent.mapping import GraphMemory, GuidedPolicy
 from dirl.agent.mapping.graph_policy import LAST_STEPS
 from dirl.config.components import make
 from dirl.config.files import goal_view_options, group_options, load_simulator, own_options
-from dirl.envs.transforms import VIEWS
 from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_episodes
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
 from dirl.models import LocalisingMemory, PlanningMemory
@@ -138,7 +135,6 @@ from dirl.perception.recognition.recogniser import NCC, build_recogniser, matchi
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
-from dirl.scenes import Scene
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.files import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, repeats, shortest_move, state_pose
@@ -240,7 +236,7 @@ def evaluate(options: Options) -> Result:
 
 
 def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Trained, dict[str, Any]]:
-    """Return the agent, and the changes of its configuration: what it chooses where views return, if nothing is said.
+    """Return the agent, and the changes of its configuration: where views return, it plans if nothing else is said.
 
     Correlation tells such views apart; a recogniser that allows for changes takes places of a maze for one.
     """
@@ -250,22 +246,9 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
     live = options.simulator is not None  # a navigator walks there, see `walk_live`
     asked = options.episodic_memory, options.recogniser, options.map
     if not live and asked == (None, None, None) and views_return(memory, world):
-        returned = options.threshold or RETURNED
-        if locates_goals(config, world) and not options.viewer:  # the viewer has no localising memory
-            changes = {**changes, "recogniser": {**(group_options("recogniser", "exact") or {}), "returned": returned}}
-        else:
-            plans = {name: group_options(name, option) for name, option in PLANS.items()}
-            changes = {**changes, **plans, "stop.threshold": returned}
+        changes = {**changes, **{name: group_options(name, option) for name, option in PLANS.items()}}
+        changes["stop.threshold"] = options.threshold or RETURNED
     return load_trained(saved, options.checkpoint, changes, options.trust or [], world), changes
-
-
-def locates_goals(config: TrainConfig, world: World) -> bool:
-    """Return whether the network that locates goals tells where they lie: in rooms, by fine patches.
-
-    With turns of 45 degrees it tells no more than the policy knows; panoramas stand anywhere.
-    """
-    square = bool((world.turns == VIEWS).all()) and not any(map(is_tour, world.scenes))
-    return square and bool(config.policy.get("locates")) and fine_patches(world) is not None
 
 
 def leave_pictures(trained: Trained, facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
@@ -300,9 +283,9 @@ def check(options: Options) -> None:
         raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
 
 
-def is_tour(scene: Scene) -> bool:
-    """Return whether a scene is a tour, of panoramas."""
-    return scene.source.startswith("tour")
+def in_tours(trained: Trained) -> bool:
+    """Return whether all scenes are tours."""
+    return all(scene.source.startswith("tour") for scene in trained.protocol.world.scenes)
 
 
 def views_return(memory: object, world: World) -> bool:
@@ -313,7 +296,7 @@ def views_return(memory: object, world: World) -> bool:
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:
     """The same agent, which sees the arrows and all headings of its place: if nothing else is asked for, in tours."""
     protocol = trained.protocol
-    tour = all(map(is_tour, protocol.world.scenes))
+    tour = in_tours(trained)
     plans = isinstance(protocol.memory, PlanningMemory | LocalisingMemory)
     if panorama and not plans:
         raise RunError("panorama: needs episodic_memory=planning or localising, which plan with all headings")

@@ -35,40 +35,31 @@ def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, c
 
 
 @pytest.mark.parametrize(
-    ("room", "memory", "given", "chosen"),
+    ("looks", "memory", "given", "plans"),
     [
-        ({}, "localising", [], "plans"),
-        ({"patches": "fine"}, "localising", [], "exact"),
-        ({"patches": "fine"}, "localising", ["threshold=0.9"], "exact"),
-        ({"patches": "fine"}, "localising", ["viewer=true"], "plans"),
-        ({"patches": "fine", "headings": 8}, "localising", [], "plans"),
-        ({"patches": "fine", "looks": 2}, "localising", [], None),
-        ({"looks": 2}, "localising", [], None),
-        ({}, "planning", [], None),
-        ({}, "none", [], None),
-        ({}, "localising", ["recogniser=learned"], None),
-        ({}, "localising", ["map=2"], None),
-        ({}, "localising", ["simulator=dump"], None),
+        (0, "localising", [], True),
+        (2, "localising", [], False),
+        (0, "planning", [], False),
+        (0, "none", [], False),
+        (0, "localising", ["recogniser=learned"], False),
+        (0, "localising", ["map=2"], False),
+        (0, "localising", ["simulator=dump"], False),
     ],
 )
-def test_where_views_return_an_agent_that_localises_is_certain_or_plans(monkeypatch, room, memory, given, chosen):
-    world = make_world([grid_scene(3, 2, **room)])
-    policy = {"locates": 14}
-    config = SimpleNamespace(episodic_memory=group_options("episodic_memory", memory), policy=policy, trust=[])
+def test_where_views_return_an_agent_that_localises_plans_unless_something_is_asked(
+    monkeypatch, looks, memory, given, plans
+):
+    world = make_world([grid_scene(3, 2, looks=looks)])
+    config = SimpleNamespace(episodic_memory=group_options("episodic_memory", memory), trust=[])
     monkeypatch.setattr(evaluate, "saved_config", lambda *_: config)
     monkeypatch.setattr(evaluate, "build_world", lambda *_: world)
     monkeypatch.setattr(evaluate, "load_trained", lambda *given: given)
     options = parse(evaluate.Options, ["checkpoint=run", *given])
     (*_, asked, _, read), changes = evaluate.loaded({"extractor": "random"}, options, {"seed": 1})
     assert read is world
-    planning = {name: group_options(name, option) for name, option in evaluate.PLANS.items()} | {"stop.threshold": 0.98}
-    exact = {"recogniser": group_options("recogniser", "exact") | {"returned": options.threshold or 0.98}}
-    assert changes == asked == {"seed": 1, **{"plans": planning, "exact": exact, None: {}}[chosen]}
-    if chosen == "exact":
-        policy.clear()  # without the network, fine patches change nothing
-        assert evaluate.loaded({"extractor": "random"}, options, {"seed": 1})[1] == {"seed": 1, **planning} | {
-            "stop.threshold": options.threshold or 0.98
-        }
+    planning = {"episodic_memory": "planning", "recogniser": "ncc"}
+    planning = {name: group_options(name, option) for name, option in planning.items()} | {"stop.threshold": 0.98}
+    assert changes == asked == {"seed": 1, **(planning if plans else {})}
 
 
 @pytest.mark.parametrize(
