@@ -297,7 +297,7 @@ def test_images_may_be_flipped_or_read_only_views_of_others(world, navigator):
         ({"extractor": "CLIP"}, "another extractor: 'random', not 'CLIP'"),
         ({"extractor": None}, r"say which extractor .* trained with 'random'"),
         ({"turns": 6}, r"^turns=6: expected an integer, as 4, 8 or 12$"),
-        ({"recogniser": "other"}, r"^recogniser=other: choose from learned, ncc, or a file of your"),
+        ({"recogniser": "other"}, r"^recogniser=other: choose from exact, learned, ncc, or a file of your"),
     ],
 )
 def test_what_a_navigator_cannot_be_loaded_with_is_told(run, world, options, told):

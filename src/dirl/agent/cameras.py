@@ -13,7 +13,14 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable, initial_state, recurrent_keys
 from dirl.models.belief import here_odds
 from dirl.perception.backbones.patches import FINE_SHAPE
-from dirl.perception.recognition.recogniser import FRONT_THRESHOLD, ComparesPanoramas, Recogniser, ncc, panorama_odds
+from dirl.perception.recognition.recogniser import (
+    FRONT_THRESHOLD,
+    ComparesPanoramas,
+    Recogniser,
+    is_exact,
+    ncc,
+    panorama_odds,
+)
 from dirl.scenes import ACTIONS, Action
 
 
@@ -281,9 +288,14 @@ class Views:
         return self._located if earlier is None else self._locate(earlier)
 
     def place_odds(self) -> Tensor | None:
-        """Return the log odds that the agents are at their goals' places; only fine patches tell them well."""
+        """Return the log odds that the agents are at their goals' places; only fine patches tell them well.
+
+        Where views return bit for bit, correlation tells them better.
+        """
         fine = self.features.shape[-1] > self.goal.policy.table.inputs
-        return here_odds(self._located) if fine and self._located is not None else None
+        if not fine or self._located is None or is_exact(self.goal.recogniser):
+            return None
+        return here_odds(self._located)
 
     @cached_property
     def _located(self) -> Tensor | None:

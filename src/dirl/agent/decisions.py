@@ -16,7 +16,7 @@ from dirl.models import caching, initial_state, recurrent_keys
 from dirl.models.belief import here_odds
 from dirl.models.distinct import EmbeddingCache, Keys, packable
 from dirl.perception.backbones.patches import are_fine
-from dirl.perception.recognition.recogniser import NCC, StopRule, VisitScores
+from dirl.perception.recognition.recogniser import StopRule, VisitScores, is_exact
 from dirl.scenes import ACTIONS
 from dirl.scenes.world import World
 
@@ -286,7 +286,7 @@ class AgentBatch:
 
         Where views return bit for bit, correlation tells them better.
         """
-        exact = self.known.scores is not None and isinstance(self.known.scores.recogniser, NCC)
+        exact = self.known.scores is not None and is_exact(self.known.scores.recogniser)
         if exact or fine_patches(self.known.world) is None or self._located is None:
             return None
         return here_odds(self._located)

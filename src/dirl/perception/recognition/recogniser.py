@@ -156,11 +156,14 @@ class NCC(nn.Module):
     """
 
     reads_patches = False
+    calibrated = False
     thresholds: Thresholds | None = None
 
     def __init__(self, returned: float | None = None) -> None:
         super().__init__()
-        self.returned, self.calibrated = returned, returned is not None
+        self.returned = returned
+        if returned is not None:
+            self.calibrated = True
 
     def fit(self, features: Tensor, patches: Tensor | None = None) -> Self:
         """Return itself: it has no statistics."""
@@ -175,6 +178,11 @@ class NCC(nn.Module):
         seen = seen[..., : references.shape[-2], :]
         correlation = normal_vectors(seen.flatten(-2)) @ normal_vectors(references.flatten(-2)).transpose(-1, -2)
         return correlation if self.returned is None else torch.where(correlation > self.returned, CERTAIN, -CERTAIN)
+
+
+def is_exact(recogniser: Recogniser) -> bool:
+    """Return whether a recogniser takes views that return bit for bit for known, see `NCC`."""
+    return isinstance(recogniser, NCC) and recogniser.returned is not None
 
 
 def ncc(observation: Tensor, goal: Tensor) -> Tensor:
