@@ -7,7 +7,7 @@ import pytest
 import torch
 from rooms import grid_scene
 
-from dirl.agent.cameras import FeaturePolicy
+from dirl.agent.cameras import FeaturePolicy, Views
 from dirl.agent.decisions import AgentBatch, WorldTables, locating
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import RandomPolicy
@@ -110,3 +110,13 @@ def test_a_sweep_is_told_where_it_was_but_not_where_its_goal_lies(sweeps, fine):
     assert now.displacement(now.inputs).shape == (2, 4, 7, 7)
     exact = VisitScores(NCC(returned=0.98), world)
     assert replace(now, known=replace(known, scores=exact)).place_odds() is None  # correlation tells it better
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_cameras_too_leave_the_goals_place_to_exact_matches(exact):
+    goal = SimpleNamespace(
+        policy=SimpleNamespace(table=SimpleNamespace(inputs=6)), recogniser=NCC(returned=0.98 if exact else None)
+    )
+    now = Views(goal, torch.zeros(1, 4, 8), threshold=0.0)  # two features of fine patches
+    now._located = torch.full((1, 4, 3, 3), 1 / 9).log()
+    assert (now.place_odds() is None) == exact
