@@ -26,8 +26,8 @@ settings.load_profile("dirl")
 QUICK = ("agent", "config", "envs", "evaluation", "models", "perception/recognition", "training")
 """Folders whose tests are run by ``pytest -m quick``, besides `test_layout.py`."""
 
-SLOW = ("agent/test_navigator_encoders.py", "envs/test_start_method.py", "perception/recognition/test_learned.py")
-"""What is left out of them: large networks are loaded, interpreters started, or a recogniser is trained."""
+SLOW = ("agent/test_navigator_encoders.py", "perception/recognition/test_learned.py")
+"""What is left out of them: large networks are loaded, or a recogniser is trained."""
 
 
 def pytest_collection_modifyitems(config, items):
@@ -74,6 +74,15 @@ def dump(tmp_path, scene):
     from rooms import published_dump
 
     return published_dump(tmp_path / "room.h5", scene)
+
+
+@pytest.fixture(scope="session")
+def sift():
+    """The matcher of views that needs no learned weights."""
+    pytest.importorskip("cv2")
+    from dirl.perception.matching import Matcher
+
+    return Matcher("sift")
 
 
 @pytest.fixture(scope="session")

@@ -324,8 +324,7 @@ def test_an_image_encoder_of_ones_own_encodes_and_a_wrong_one_is_one_line(tmp_pa
     views = torch.zeros(3, 20, 30, 3, dtype=torch.uint8)
     assert (encoder.extractor, encoder(views).shape) == ("mean colour of 2x2 tiles", (3, 12))
     (tmp_path / "mine.yaml").write_text("_target_: cosine.Cosine\n")
-    with pytest.raises(ValueError, match=r"mine.yaml: Cosine has no text extractor, or cannot be called$"):
-        load_encoder(str(tmp_path / "mine.yaml"))
+    refused(r"mine.yaml: Cosine has no text extractor, or cannot be called$", load_encoder, str(tmp_path / "mine.yaml"))
 
 
 def test_an_environment_with_only_reset_and_step_is_walked_to_every_place(monkeypatch):

@@ -20,7 +20,10 @@ pathlib.Path.exists = lambda path, **options: not str(path).startswith("/proc") 
 """Run by Python before anything else: what Windows does not have."""
 
 PROGRAM = """
-import importlib, pkgutil, runpy, sys, dirl
+import importlib, multiprocessing, pkgutil, runpy, sys
+import dirl.envs
+assert "torchrl" in sys.modules  # which by itself would choose the start method of all later processes
+assert multiprocessing.get_start_method(allow_none=True) is None
 for module in pkgutil.walk_packages(dirl.__path__, "dirl."):
     if module.name != "dirl.__main__":
         importlib.import_module(module.name)

@@ -11,15 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TINY = [
-    "scene=bathroom_02",
-    "reinforcement.frames_per_scene=400",
-    "reinforcement.agents_per_scene=20",
-    "evaluation.times=1",
-    "evaluation.max_steps=20",
-    "imitation.max_steps=5",
-    "hydra.run.dir=run",
-]
+TINY = ["scene=bathroom_02", "imitation.max_steps=5", "reinforcement.frames_per_scene=400"]
+TINY += ["reinforcement.agents_per_scene=20", "evaluation.times=1", "evaluation.max_steps=20", "hydra.run.dir=run"]
 
 
 @pytest.fixture(scope="module")

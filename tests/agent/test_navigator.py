@@ -395,8 +395,7 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, capfd):
 def test_an_encoder_from_outside_is_loaded_only_where_its_package_is_trusted(tmp_path):
     world = rooms()
     policy, observation = trained(tmp_path, world, "trust=[outside]", "encoder._target_=outside.Product")
-    with pytest.raises(ValueError, match=r"names a class of 'outside'; trust=\[outside\] allows it"):
-        load(tmp_path, world)
+    refused(r"names a class of 'outside'; trust=\[outside\] allows it", load, tmp_path, world)
     navigator = load(tmp_path, world, trust=["outside"])
     navigator.reset(images_of(world.surrounding[0]))
     found = navigator.act(images_of(world.surrounding[9])).scores.probabilities

@@ -1,6 +1,5 @@
 """The paper's tables and figures: the grids of runs, what is computed from them, and the reports."""
 
-import csv
 import json
 import math
 import re
@@ -8,8 +7,19 @@ import signal
 
 import numpy as np
 import pytest
-import torch
-from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, train_config, wait_until
+from commands import (
+    SAVED,
+    TINY,
+    done,
+    have_the_same_weights,
+    room_file,
+    rows_of,
+    run_recipe,
+    start_recipe,
+    summary_of,
+    train_config,
+    wait_until,
+)
 from refusals import refused
 from rooms import grid_scene
 
@@ -28,20 +38,9 @@ SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation
 EXPERIMENTS = ("table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8")
 
 
-def rows_of(file):
-    """The rows of a CSV file, as texts by column."""
-    with file.open(newline="") as lines:
-        return list(csv.DictReader(lines))
-
-
 def summaries(folder):
     """The summary of every run of a grid, by the name of its folder."""
-    return {file.parent.name: json.loads(file.read_text()) for file in folder.glob("runs/experiments/*/*/summary.json")}
-
-
-def have_the_same_weights(*runs):
-    ours, theirs = (torch.load(run / "network.pt", weights_only=True)["network"] for run in runs)
-    return all(torch.equal(ours[key], theirs[key]) for key in ours)
+    return {file.parent.name: summary_of(file.parent) for file in folder.glob("runs/experiments/*/*/summary.json")}
 
 
 def add_room(folder, seed, **scene):

@@ -6,7 +6,6 @@
 Ends with status 1 if anything was not as docs/reliability.md promises, after a line for each such case.
 """
 
-import csv
 import json
 import os
 import random
@@ -19,13 +18,12 @@ from collections import Counter
 from itertools import count
 from pathlib import Path
 
-import torch
 from campaign import start, table
-from commands import SHORT, room_file
+from commands import SHORT, have_the_same_weights, room_file, rows_of, summary_of
 from forks import Child, no_pictures, run, warm_up
 from injection import KINDS, Faults
 
-from dirl.runs.checkpoints import is_finished, load_checkpoint, training_checkpoints
+from dirl.runs.checkpoints import is_finished, training_checkpoints
 
 COUNTS = {"kills": 4, "signals": 2, "faults": 6, "machine": 1, "seed": 0}
 """How often each thing is tried; ``machine`` is a round of the cases that stand for themselves."""
@@ -90,19 +88,13 @@ class Bench:
         if names != expected:
             return f"other files: {sorted(names)}"
         for file in sorted(self.whole.glob("*.csv")):
-            if rows(file) != rows(folder / file.name):
+            first, second = ([without_times(row) for row in rows_of(one)] for one in (file, folder / file.name))
+            if first != second:
                 return f"other rows: {file.name}"
-        first, second = (without_times(json.loads((one / "summary.json").read_text())) for one in (self.whole, folder))
+        first, second = (without_times(summary_of(one)) for one in (self.whole, folder))
         if first != second:
             return "another summary"
-        mine, theirs = (load_checkpoint(one)["network"] for one in (self.whole, folder))
-        return "" if all(torch.equal(mine[key], theirs[key]) for key in mine) else "other weights"
-
-
-def rows(file):
-    """The rows of a CSV file without times."""
-    with file.open() as stream:
-        return [without_times(row) for row in csv.DictReader(stream)]
+        return "" if have_the_same_weights(self.whole, folder) else "other weights"
 
 
 def without_times(row):

@@ -2,10 +2,9 @@ import shutil
 import subprocess
 
 import pytest
-import torch
-from commands import SHORT, done, room_file, run_recipe
+from commands import SHORT, done, have_the_same_weights, room_file, run_recipe
 
-from dirl.runs.checkpoints import load_checkpoint, training_checkpoints
+from dirl.runs.checkpoints import training_checkpoints
 
 
 @pytest.fixture
@@ -38,5 +37,4 @@ def test_a_full_disk_is_one_line_and_the_run_resumes_when_there_is_room(tmp_path
     assert resize("20m")
     done(tmp_path, "train", f"resume={disk / 'run'}")
     assert run_recipe(tmp_path, "train", *options, "hydra.run.dir=whole")[0] == 0
-    resumed, whole = (load_checkpoint(folder)["network"] for folder in (disk / "run", tmp_path / "whole"))
-    assert all(torch.equal(resumed[name], whole[name]) for name in whole)
+    assert have_the_same_weights(disk / "run", tmp_path / "whole")

@@ -1,7 +1,9 @@
 """The recipes as a user runs them, and a run that takes seconds."""
 
 import copy
+import csv
 import functools
+import json
 import multiprocessing
 import os
 import sys
@@ -9,25 +11,19 @@ import time
 from multiprocessing.forkserver import ensure_running
 from unittest.mock import patch
 
+import torch
 from forks import ROOT as ROOT
 from forks import Child, as_new
 from rooms import grid_scene
 
 from dirl.cli.parsing import compose_training, parsed
 from dirl.config.files import typed
+from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import write_dump
 
-TINY = [
-    "seed=3",
-    "encoder.width=32",
-    "heads.width=32",
-    "imitation.fraction=0.2",
-    "imitation.max_steps=60",
-    "reinforcement.frames_per_scene=600",
-    "reinforcement.agents_per_scene=6",
-    "evaluation.times=2",
-    "evaluation.max_steps=50",
-]
+TINY = ["seed=3", "encoder.width=32", "heads.width=32", "imitation.fraction=0.2", "imitation.max_steps=60"]
+TINY += ["reinforcement.frames_per_scene=600", "reinforcement.agents_per_scene=6"]
+TINY += ["evaluation.times=2", "evaluation.max_steps=50"]
 
 SAVED = "checkpoint.every_seconds=0"
 """A checkpoint after every update, which takes a quarter of such a run: for those that are killed."""
@@ -62,6 +58,23 @@ def done(folder, name, *arguments):
     status, printed, errors = run_recipe(folder, name, *arguments)
     assert status == 0, errors
     return printed
+
+
+def summary_of(run):
+    """The summary of a finished run."""
+    return json.loads((run / "summary.json").read_text())
+
+
+def rows_of(file):
+    """The rows of a CSV file, texts by column."""
+    with file.open(newline="") as lines:
+        return list(csv.DictReader(lines))
+
+
+def have_the_same_weights(*runs):
+    """Whether two runs ended with equal networks."""
+    ours, theirs = (load_checkpoint(run)["network"] for run in runs)
+    return all(torch.equal(ours[name], theirs[name]) for name in ours)
 
 
 def wait_until(happens, patience=600):

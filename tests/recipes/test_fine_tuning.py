@@ -5,7 +5,7 @@ import signal
 
 import pytest
 import torch
-from commands import SAVED, TINY, done, room_file, run_recipe, start_recipe, wait_until
+from commands import SAVED, TINY, done, have_the_same_weights, room_file, run_recipe, start_recipe, wait_until
 from rooms import grid_scene
 
 from dirl.runs.checkpoints import load_checkpoint
@@ -53,8 +53,7 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     assert not (killed / "summary.json").exists(), "it was not killed in time"
     shutil.rmtree(pretrained / "lent")
     done(pretrained, "train", "resume=killed")
-    first, second = (load_checkpoint(run)["network"] for run in (whole, killed))
-    assert all(torch.equal(first[key], second[key]) for key in first)
+    assert have_the_same_weights(whole, killed)
 
 
 @pytest.mark.parametrize(

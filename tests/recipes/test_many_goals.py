@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from commands import TINY, done, run_recipe
+from commands import TINY, done, run_recipe, summary_of
 from rooms import grid_scene
 
 from dirl.scenes import write_dump
@@ -15,7 +15,7 @@ def test_goals_held_out_are_evaluated_apart(tmp_path, policy):
     asked = [f"scene={tmp_path / 'room.h5'}", "goals=all", "hold_out=0.34", f"policy={policy}", "hydra.run.dir=run"]
     printed = done(tmp_path, "train", *TINY, *asked)
     assert "Goals held out of the training:" in printed
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    summary = summary_of(tmp_path / "run")
     goals = [set(part["greedy"]["scenes"]["grid"]["goals"]) for part in (summary, summary["held_out"])]
     assert [len(part) for part in goals] == [16, 8]
     assert not goals[0] & goals[1]
@@ -32,19 +32,9 @@ def test_goals_held_out_are_evaluated_apart(tmp_path, policy):
     assert evaluated["held_out"]["greedy"] == summary["held_out"]["greedy"]
 
 
-ANY_GOAL = [
-    "seed=3",
-    "system=any_goal",
-    "hold_out=0.34",
-    "network.components=8",
-    "encoder.width=32",
-    "encoder.comparison=16",
-    "heads.width=32",
-    "imitation.batch_size=64",
-    "imitation.max_steps=40",
-    "evaluation.max_steps=30",
-    "evaluation.goals=3",
-]
+ANY_GOAL = ["seed=3", "system=any_goal", "hold_out=0.34", "network.components=8", "encoder.width=32"]
+ANY_GOAL += ["encoder.comparison=16", "heads.width=32", "imitation.batch_size=64", "imitation.max_steps=40"]
+ANY_GOAL += ["evaluation.max_steps=30", "evaluation.goals=3"]
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +61,7 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
         found[name] = result["atl"]
     goals = {int(goal) for goal in result["scenes"]["grid"]["goals"]}
     assert goals == {0, 1, 5, 7, 13}  # of those that are named all count, though the run drew three
-    summary = json.loads((any_goal / "run" / "summary.json").read_text())
+    summary = summary_of(any_goal / "run")
     assert found["four"] == summary["greedy"]["atl"]
     assert len(set(found.values())) == 4
 

@@ -5,16 +5,12 @@ import signal
 
 import pytest
 import torch
-from commands import TINY, done, room_file, run_recipe, start_recipe, wait_until
+from commands import TINY, done, room_file, run_recipe, start_recipe, summary_of, wait_until
 from parts import make_parts
+from refusals import refused
 
 from dirl.config.components import make
-from dirl.config.schemas import ConfigError
 from dirl.training.hogwild import fetch, share
-
-
-def summary_of(folder):
-    return json.loads((folder / "summary.json").read_text())
 
 
 @pytest.mark.parametrize("system", ["random", "shortest_path"])
@@ -83,13 +79,8 @@ def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp
 
 @pytest.mark.parametrize("optimiser", ["adam", "tf_rmsprop"])
 def test_shared_weights_start_as_the_network_and_shared_statistics_as_the_optimisers_own(tmp_path, optimiser):
-    options = [
-        f"scene={room_file(tmp_path)}",
-        "encoder.width=8",
-        "heads.width=8",
-        f"optimiser={optimiser}",
-        "optimiser.lr=0.1",
-    ]
+    options = [f"scene={room_file(tmp_path)}", "encoder.width=8", "heads.width=8"]
+    options += [f"optimiser={optimiser}", "optimiser.lr=0.1"]
     alone, other = (make_parts(*options) for _ in range(2))
     first, second = (
         make("optimiser", parts.config.optimiser, params=parts.policy.parameters()) for parts in (alone, other)
@@ -112,19 +103,12 @@ def test_shared_weights_start_as_the_network_and_shared_statistics_as_the_optimi
 @pytest.mark.parametrize("wrong", [["reinforcement.agents_per_scene=3"], ["device=cuda"]], ids=str)
 def test_workers_that_cannot_be_are_refused(tmp_path, wrong, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    with pytest.raises(ConfigError, match=r"reinforcement\.workers=4: "):
-        make_parts(f"scene={room_file(tmp_path)}", "system=a3c", *wrong)
+    refused(r"reinforcement\.workers=4: ", make_parts, f"scene={room_file(tmp_path)}", "system=a3c", *wrong)
 
 
 def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
-    small = [
-        "encoder.width=64",
-        "heads.width=64",
-        "imitation.fraction=0",
-        "reinforcement.agents_per_scene=40",
-        "optimiser.lr=4e-3",
-        "reinforcement.workers=2",
-    ]
+    small = ["encoder.width=64", "heads.width=64", "imitation.fraction=0", "optimiser.lr=4e-3"]
+    small += ["reinforcement.agents_per_scene=40", "reinforcement.workers=2"]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=a3c", *small, "reinforcement.frames_per_scene=16_000"]
     process = start_recipe(tmp_path, "train", *options, "hydra.run.dir=run", "checkpoint.every_seconds=1000")
     table = tmp_path / "run" / "reinforcement.csv"

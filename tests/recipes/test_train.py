@@ -1,23 +1,13 @@
-import csv
 import json
 import re
 
 import pytest
-from commands import TINY, done, room_file, run_recipe
+from commands import TINY, done, room_file, rows_of, run_recipe, summary_of
 
 
 def only_run(folder):
     (run,) = folder.glob("runs/*/*")
     return run
-
-
-def read_table(file):
-    with file.open() as stream:
-        return list(csv.DictReader(stream))
-
-
-def read_summary(run):
-    return json.loads((run / "summary.json").read_text())
 
 
 def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
@@ -28,7 +18,7 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     names = {"config.yaml", "summary.json", "network.pt", "learning_curve.png", "trajectories_grid.png"}
     names |= {"maps_grid.png", "episode_grid.gif", "imitation.csv", "reinforcement.csv", "evaluation.csv"}
     assert {entry.name for entry in run.iterdir()} == names
-    summary = read_summary(run)
+    summary = summary_of(run)
     facts = {"scene": "grid", "source": "synthetic", "system": "dirl", "preset": "fast", "seed": 3, "frames": 600}
     assert facts.items() <= summary.items()
     assert {"stable_at_frame", "seconds", "frames_per_second", "peak_memory_mb"} <= set(summary)
@@ -36,7 +26,7 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     for mode in ("greedy", "sampled", "random", "shortest_path"):
         assert measures <= set(summary[mode])
         assert set(summary[mode]["scenes"]["grid"]["goals"]) == {"0", "13"}
-    assert [row["frames"] for row in read_table(run / "evaluation.csv")] == ["0", "300", "600"]
+    assert [row["frames"] for row in rows_of(run / "evaluation.csv")] == ["0", "300", "600"]
 
     printed = done(tmp_path, "evaluate", f"checkpoint={run}", "seed=3", "max_steps=50", "out=e.json")
     again = json.loads((tmp_path / "e.json").read_text())
@@ -53,15 +43,15 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
 )
 def test_train_with_other_systems_and_presets(tmp_path, options):
     done(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options)
-    assert read_summary(only_run(tmp_path))["frames"] == 600
+    assert summary_of(only_run(tmp_path))["frames"] == 600
 
 
 def test_a_run_until_stable_ends_at_the_first_evaluation_that_finds_every_goal_stable(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *TINY, "imitation.fraction=1", "reinforcement.until=stable"]
     options += ["reinforcement.frames_per_scene=20_000", "evaluation.times=20", "hydra.run.dir=run"]
     done(tmp_path, "train", *options)
-    summary = read_summary(tmp_path / "run")
-    evaluated = [int(row["frames"]) for row in read_table(tmp_path / "run" / "evaluation.csv")]
+    summary = summary_of(tmp_path / "run")
+    evaluated = [int(row["frames"]) for row in rows_of(tmp_path / "run" / "evaluation.csv")]
     assert summary["stable_at_frame"] is not None
     assert [frames for frames in evaluated if frames > summary["stable_at_frame"]] == [summary["frames"]]
     assert summary["frames"] < 20_000

@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 from hall import look, walk
 from PIL import Image
+from refusals import refused
 
-from dirl.agent.mapping import MapError
 from dirl.agent.mapping.frames import find_links, map_recordings
-from dirl.perception.matching import Matcher
 from dirl.reporting.map_page import write_mcap, write_page, write_route
-
-pytest.importorskip("cv2")
-
-
-@pytest.fixture(scope="module")
-def matcher():
-    return Matcher("sift")
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +18,10 @@ def frames():
     return [(image, time, (time, 2.0, 0.0)) for image, time, _ in ahead]
 
 
-def test_a_page_steps_through_a_map_and_shows_where_the_photo_was_found(tmp_path, matcher, frames, browser):
-    graph = map_recordings([frames, walk([(1.2 + x, 2.4, 1) for x in range(12)])], matcher, 65.0)
-    graph = find_links(graph, matcher)
-    found = graph.find(matcher, matcher.describe([look(6.4, 2.3, 4)]))
+def test_a_page_steps_through_a_map_and_shows_where_the_photo_was_found(tmp_path, sift, frames, browser):
+    graph = map_recordings([frames, walk([(1.2 + x, 2.4, 1) for x in range(12)])], sift, 65.0)
+    graph = find_links(graph, sift)
+    found = graph.find(sift, sift.describe([look(6.4, 2.3, 4)]))
     file = tmp_path / "walk.html"
     write_page(graph, file, graph.path(2, found.frame), found)
     page = browser.new_page()
@@ -44,9 +36,9 @@ def test_a_page_steps_through_a_map_and_shows_where_the_photo_was_found(tmp_path
     assert f"linked: frame {graph.links[0, 1]}" in page.locator("#linked").inner_text()
 
 
-def test_a_map_with_positions_is_a_route_of_nav2(tmp_path, matcher, frames):
+def test_a_map_with_positions_is_a_route_of_nav2(tmp_path, sift, frames):
     file = tmp_path / "walk.geojson"
-    write_route(map_recordings([frames[:3]], matcher, 65.0), file)
+    write_route(map_recordings([frames[:3]], sift, 65.0), file)
     features = json.loads(file.read_text())["features"]
     nodes, edges = (
         [one for one in features if one["geometry"]["type"] == kind] for kind in ("Point", "MultiLineString")
@@ -55,8 +47,7 @@ def test_a_map_with_positions_is_a_route_of_nav2(tmp_path, matcher, frames):
     ends = {(edge["properties"]["startid"], edge["properties"]["endid"]) for edge in edges}
     assert ends == {(0, 1), (1, 0), (1, 2), (2, 1)}
     assert len({one["properties"]["id"] for one in features}) == len(features)
-    with pytest.raises(MapError, match="needs positions"):
-        write_route(map_recordings([walk([(1, 2, 0), (2, 2, 0)])], matcher, 65.0), file)
+    refused("needs positions", write_route, map_recordings([walk([(1, 2, 0), (2, 2, 0)])], sift, 65.0), file)
 
 
 def test_a_way_is_written_as_mcap_that_ros_2_reads(tmp_path):

@@ -3,9 +3,9 @@ import os
 import subprocess
 import sys
 
-import pytest
+from refusals import refused
 
-from dirl.runs.locks import FolderLock, RunningError
+from dirl.runs.locks import FolderLock
 
 HOLD = "import sys, time; from pathlib import Path; from dirl.runs.locks import FolderLock; "
 HOLD += "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); time.sleep(600)"
@@ -15,8 +15,7 @@ def test_another_process_is_named_and_its_death_frees_the_folder(tmp_path):
     with subprocess.Popen([sys.executable, "-c", HOLD, tmp_path], stdout=subprocess.PIPE) as process:
         try:
             assert process.stdout.readline() == b"held\n"
-            with pytest.raises(RunningError, match=f"{tmp_path}: process {process.pid} on .* is writing to it"):
-                FolderLock(tmp_path)
+            refused(f"{tmp_path}: process {process.pid} on .* is writing to it", FolderLock, tmp_path)
         finally:
             process.kill()
     assert (tmp_path / ".lock").exists()

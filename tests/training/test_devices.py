@@ -14,15 +14,8 @@ from dirl.scenes import World
 from dirl.training.build import load_trained
 from dirl.training.job import prepare_device
 
-SMALL = [
-    *TINY,
-    "imitation.max_steps=4",
-    "reinforcement.frames_per_scene=30",
-    "evaluation.starts=sampled",
-    "evaluation.episodes_per_goal=2",
-    "evaluation.goals=2",
-    "evaluation.times=1",
-]
+SMALL = [*TINY, "imitation.max_steps=4", "reinforcement.frames_per_scene=30", "evaluation.starts=sampled"]
+SMALL += ["evaluation.episodes_per_goal=2", "evaluation.goals=2", "evaluation.times=1"]
 
 
 @pytest.fixture

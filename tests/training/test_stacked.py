@@ -1,19 +1,16 @@
 """Several trainings as one program: what each run learns; the jobs of a sweep."""
 
-import csv
-import json
 from types import SimpleNamespace
 
 import pytest
 import torch
-from commands import TINY, room_file, train_config
+from commands import TINY, have_the_same_weights, room_file, rows_of, summary_of, train_config
 from parts import make_parts, train_state
 from pretend_graph import pretend
 from refusals import refused
 from train import imitate, imitation, learn, train
 
 from dirl.cli.parsing import compose_training
-from dirl.runs.checkpoints import load_checkpoint
 from dirl.runs.folder import Run
 from dirl.training import loops
 from dirl.training.job import build_components
@@ -138,15 +135,6 @@ def jobs_in(folder, room, *options, changes=(("seed=1",), ("seed=2", "imitation.
     return jobs
 
 
-def weights_in(folder):
-    return load_checkpoint(folder)["network"]
-
-
-def rows_of(file):
-    with file.open(newline="") as stream:
-        return list(csv.DictReader(stream))
-
-
 def test_every_job_of_a_stack_has_the_folder_it_would_have_alone(tmp_path, capsys):
     room = room_file(tmp_path)
     changes = (("seed=1",), ("seed=2",), ("seed=3", "reinforcement.until=stable"))
@@ -165,8 +153,7 @@ def test_every_job_of_a_stack_has_the_folder_it_would_have_alone(tmp_path, capsy
         sizes = [(one / "network.pt").stat().st_size for one in (folder, own)]
         assert sizes[0] == pytest.approx(sizes[1], rel=0.05)
         assert (folder / "config.yaml").read_text() == (own / "config.yaml").read_text()
-        saved = json.loads((folder / "summary.json").read_text())
-        assert saved["greedy"]["sr"] == together[number]["greedy"]["sr"]
+        assert summary_of(folder)["greedy"]["sr"] == together[number]["greedy"]["sr"]
         assert together[number]["frames"] == alone["frames"] == 240
         steps = rows_of(folder / "imitation.csv")
         assert [row["step"] for row in steps] == [row["step"] for row in rows_of(own / "imitation.csv")]
@@ -196,8 +183,7 @@ def test_a_stack_that_was_killed_goes_on_to_the_same_bits(steps, tmp_path, monke
     run_together(jobs_in(tmp_path / "parts", room), train, imitation, learn)
     for number in range(2):
         whole, parts = (tmp_path / name / str(number) for name in ("whole", "parts"))
-        saved, after = weights_in(whole), weights_in(parts)
-        assert all(torch.equal(value, after[name]) for name, value in saved.items())
+        assert have_the_same_weights(whole, parts)
         for name in ("imitation.csv", "evaluation.csv"):
             assert (whole / name).read_text() == (parts / name).read_text()
 

@@ -5,71 +5,71 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hall import look, walk
+from refusals import refused
 
 from dirl.agent.mapping import MapError
 from dirl.agent.mapping.frames import FrameMap, check_memory, find_links, load_frames_map, map_recordings
 from dirl.agent.mapping.moves import moves_along
-from dirl.perception.matching import Described, Fit, Matcher, Motion
-
-pytest.importorskip("cv2")
+from dirl.perception.matching import Described, Fit, Motion
 
 ALONG = [(1 + x, 2.5, 0) for x in range(14)]
 
 
-@pytest.fixture(scope="module")
-def matcher():
-    return Matcher("sift")
+CORRIDOR = [(np.full((4, 4, 3), sign, np.uint8), float(sign), None) for sign in range(18)]
+"""A recording by `Bricks`."""
 
 
 @pytest.fixture(scope="module")
-def graph(matcher):
+def graph(sift):
     """A walk along a hall, a turn to the left, and a walk on aside."""
     turn = [(14.5, 2.5, 20 * part) for part in range(1, 5)]
-    return map_recordings([walk(ALONG + turn)], matcher, 65.0)
+    return map_recordings([walk(ALONG + turn)], sift, 65.0)
 
 
-def test_a_photo_is_found_where_it_was_taken(graph, matcher):
-    found = graph.find(matcher, matcher.describe([look(6.4, 2.3, 4)]))
+def linked(matcher, *recordings):
+    """The pairs of frames that show one place."""
+    return find_links(map_recordings(recordings, matcher, 65.0), matcher).links
+
+
+def test_a_photo_is_found_where_it_was_taken(graph, sift):
+    found = graph.find(sift, sift.describe([look(6.4, 2.3, 4)]))
     assert abs(found.frame - 5) <= 1
     assert found.answer != "not here"
-    assert np.array_equal(graph.described.looks[3], matcher.describe([look(*ALONG[3])]).looks[0])
+    assert np.array_equal(graph.described.looks[3], sift.describe([look(*ALONG[3])]).looks[0])
 
 
-def test_a_photo_of_another_hall_was_not_taken_here(graph, matcher):
-    assert graph.find(matcher, matcher.describe([look(6.4, 2.3, 4, seed=9)])).answer == "not here"
+def test_a_photo_of_another_hall_was_not_taken_here(graph, sift):
+    assert graph.find(sift, sift.describe([look(6.4, 2.3, 4, seed=9)])).answer == "not here"
 
 
-def test_a_short_film_is_found_in_both_directions(graph, matcher):
-    film = matcher.describe([look(x, 2.6, 0) for x in (4.2, 5.2, 6.2)])
-    there, back = graph.find(matcher, film), graph.find(matcher, film[::-1])
+def test_a_short_film_is_found_in_both_directions(graph, sift):
+    film = sift.describe([look(x, 2.6, 0) for x in (4.2, 5.2, 6.2)])
+    there, back = graph.find(sift, film), graph.find(sift, film[::-1])
     assert abs(there.frame - 4) <= 1
     assert (back.frame, back.probability) == (there.frame, pytest.approx(there.probability))
 
 
-def test_a_place_that_is_passed_twice_is_linked_and_one_of_another_hall_is_not(matcher):
+def test_a_place_that_is_passed_twice_is_linked_and_one_of_another_hall_is_not(sift):
     again = [(1.3 + x, 2.4, 1) for x in range(14)]
-    graph = map_recordings([walk(ALONG), walk(again), walk(ALONG, seed=9)], matcher, 65.0)
-    links = find_links(graph, matcher).links
+    links = linked(sift, walk(ALONG), walk(again), walk(ALONG, seed=9))
     assert len(links)
     assert all(abs(first - (second - 14)) <= 3 for first, second in links)
 
 
-def test_a_place_is_not_linked_to_one_that_is_less_alike_than_another(matcher):
+def test_a_place_is_not_linked_to_one_that_is_less_alike_than_another(sift):
     """The twin of the hall is recorded before the hall is passed again: nothing better was there to compare with."""
     twin = [(image.copy(), time, None) for image, time, _ in walk([(1.2 + x, 2.5, 0) for x in range(14)])]
     for (image, _, _), (other, _, _) in zip(twin, walk(ALONG, seed=9), strict=True):
         image[:, :130] = other[:, :130]
-    alone = find_links(map_recordings([walk(ALONG), twin], matcher, 65.0), matcher).links
     again = walk([(1.05 + x, 2.5, 0) for x in range(14)])
-    links = find_links(map_recordings([walk(ALONG), twin, again], matcher, 65.0), matcher).links
-    assert len(alone) > 3
+    assert len(linked(sift, walk(ALONG), twin)) > 3
+    links = linked(sift, walk(ALONG), twin, again)
     assert sum(second >= 28 for _, second in links) > 3
     assert sum(second < 28 for _, second in links) <= 1  # at the very beginning, where fewer frames are compared
 
 
-def test_a_full_turn_on_the_spot_closes(matcher):
-    around = [(9.0, 2.5, 24 * part) for part in range(19)]
-    links = find_links(map_recordings([walk(around)], matcher, 65.0), matcher).links
+def test_a_full_turn_on_the_spot_closes(sift):
+    links = linked(sift, walk([(9.0, 2.5, 24 * part) for part in range(19)]))
     assert len(links)
     assert all(abs(second - first - 15) <= 1 for first, second in links)
 
@@ -100,7 +100,6 @@ class Bricks:
 
 @pytest.mark.parametrize("closer", [3, 13])
 def test_places_that_fit_alike_are_compared_closely(closer, monkeypatch):
-    corridor = [(np.full((4, 4, 3), sign, np.uint8), float(sign), None) for sign in range(18)]
     matcher = Bricks(None)
     matcher.kind = "xfeat"
     compared = []
@@ -110,9 +109,9 @@ def test_places_that_fit_alike_are_compared_closely(closer, monkeypatch):
         return (140.0 - 30 * np.abs(np.array(some) - closer)).clip(min=0)
 
     monkeypatch.setattr("dirl.agent.mapping.frames.fit_closely", fit_closely)
-    graph = map_recordings([corridor], matcher, 65.0)
-    assert graph.find(matcher, matcher.describe([corridor[3][0]])).frame == closer
-    graph.find(matcher, matcher.describe([corridor[8][0]]))  # there is one such place
+    graph = map_recordings([CORRIDOR], matcher, 65.0)
+    assert graph.find(matcher, matcher.describe([CORRIDOR[3][0]])).frame == closer
+    graph.find(matcher, matcher.describe([CORRIDOR[8][0]]))  # there is one such place
     assert [{3, 13} <= set(some) for some in compared] == [True]
 
 
@@ -129,22 +128,18 @@ def test_frames_beside_the_best_count_too_if_they_are_of_the_same_recording():
 
 
 @pytest.mark.parametrize(
-    ("move", "linked"),
+    ("move", "leads_back"),
     [
         (Motion(0, 0, 0), False),
         (Motion(0, 0, 0, True), True),
         (Motion(0, 0, 36), True),
         (Motion(0, 0, 20, True), False),
+        (None, True),
     ],
-    ids=["straight on", "on the spot", "around", "turned aside"],
+    ids=["straight on", "on the spot", "around", "turned aside", "nothing is known of the way"],
 )
-def test_frames_are_linked_where_the_moves_between_them_lead_back(move, linked):
-    corridor = [(np.full((4, 4, 3), sign, np.uint8), float(sign), None) for sign in range(18)]
-    matcher = Bricks(move)
-    links = find_links(map_recordings([corridor], matcher, 65.0), matcher).links
-    assert (len(links) > 0) == linked
-    matcher.move = None  # nothing is known of the way
-    assert len(find_links(map_recordings([corridor], matcher, 65.0), matcher).links)
+def test_frames_are_linked_where_the_moves_between_them_lead_back(move, leads_back):
+    assert (len(linked(Bricks(move), CORRIDOR)) > 0) == leads_back
 
 
 class Glances(Bricks):
@@ -155,65 +150,55 @@ class Glances(Bricks):
         return Motion(0, 0, (self.move if frame % 2 else -self.move) * elsewhere)
 
 
-@pytest.mark.parametrize(("degrees", "linked"), [(8, False), (30, True)])
-def test_who_turns_far_from_one_frame_to_the_next_stays_there(degrees, linked):
-    corridor = [(np.full((4, 4, 3), sign, np.uint8), float(sign), None) for sign in range(18)]
-    matcher = Glances(degrees)
-    assert (len(find_links(map_recordings([corridor], matcher, 65.0), matcher).links) > 0) == linked
+@pytest.mark.parametrize(("degrees", "stays"), [(8, False), (30, True)])
+def test_who_turns_far_from_one_frame_to_the_next_stays_there(degrees, stays):
+    assert (len(linked(Glances(degrees), CORRIDOR)) > 0) == stays
 
 
-def test_a_path_is_told_as_moves(graph, matcher):
-    moves = moves_along(graph, matcher, graph.path(2, 17))
+def test_a_path_is_told_as_moves(graph, sift):
+    moves = moves_along(graph, sift, graph.path(2, 17))
     assert [str(move).split()[0] for move in moves] == ["ahead", "turn"]
     assert moves[0].ahead == pytest.approx(12, abs=2)
     assert moves[1].turn == pytest.approx(80, abs=12)
-    back = moves_along(graph, matcher, graph.path(12, 4))
+    back = moves_along(graph, sift, graph.path(12, 4))
     assert [str(move) for move in back] == ["turn around", "ahead 8 s", "turn around"]
 
 
-def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, matcher):
+def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, sift):
     file = tmp_path / "walk.npz"
     graph.save(file)
     again = load_frames_map(file)
     assert again.pictures == graph.pictures
     assert again.size == graph.size
     assert np.array_equal(again.described.vectors, graph.described.vectors)
-    photo = matcher.describe([look(6.4, 2.3, 4)])
-    assert np.array_equal(again.find(matcher, photo).scores, graph.find(matcher, photo).scores)
+    photo = sift.describe([look(6.4, 2.3, 4)])
+    assert np.array_equal(again.find(sift, photo).scores, graph.find(sift, photo).scores)
     with np.load(file) as stored:
         arrays = dict(stored)
     damages = {"links": np.array([[0, 99]]), "vectors": graph.described.vectors.astype(float)}
     for name, values in damages.items():
         np.savez(file, **arrays | {name: values})
-        with pytest.raises(MapError, match=r"is no map that can be read \(.*the digest differs"):
-            load_frames_map(file)
+        refused(r"is no map that can be read \(.*the digest differs", load_frames_map, file)
     narrow = replace(graph.described, vectors=graph.described.vectors[..., :9])
-    with pytest.raises(MapError, match="are described in another way"):
-        replace(graph, described=narrow).find(matcher, photo)
+    refused("are described in another way", replace(graph, described=narrow).find, sift, photo)
     np.savez(file, frames=np.zeros((2, 4, 4, 3), np.uint8))
-    with pytest.raises(MapError, match="another version"):
-        load_frames_map(file)
+    refused("another version", load_frames_map, file)
     file.write_bytes(file.read_bytes()[:100])
-    with pytest.raises(MapError, match="no map that can be read"):
-        load_frames_map(file)
-    with pytest.raises(MapError, match="no such map"):
-        load_frames_map(tmp_path / "none.npz")
+    refused("no map that can be read", load_frames_map, file)
+    refused("no such map", load_frames_map, tmp_path / "none.npz")
 
 
-def test_too_few_frames_other_shapes_and_too_many_frames_are_refused(matcher):
-    with pytest.raises(MapError, match="has 1 frames"):
-        map_recordings([walk(ALONG[:1])], matcher, 65.0)
-    with pytest.raises(MapError, match="expected RGB"):
-        map_recordings([[(np.zeros((60, 80)), 0.0, None)]], matcher, 65.0)
+def test_too_few_frames_other_shapes_and_too_many_frames_are_refused(sift):
+    refused("has 1 frames", map_recordings, [walk(ALONG[:1])], sift, 65.0)
+    refused("expected RGB", map_recordings, [[(np.zeros((60, 80)), 0.0, None)]], sift, 65.0)
     with pytest.raises(MapError, match="recording 2: 160x120 pixels, not 320x180"):
-        map_recordings([walk(ALONG[:2]), walk(ALONG[:2], size=(120, 160))], matcher, 65.0)
-    with pytest.raises(MapError, match="every="):
-        check_memory(10**9, 1.0)
+        map_recordings([walk(ALONG[:2]), walk(ALONG[:2], size=(120, 160))], sift, 65.0)
+    refused("every=", check_memory, 10**9, 1.0)
 
 
-def test_odometry_that_begins_late_stands_still_until_then(matcher):
+def test_odometry_that_begins_late_stands_still_until_then(sift):
     frames = walk(ALONG[:3])
     frames[1:] = [(image, time, (time, 0.0, 90.0)) for image, time, _ in frames[1:]]
-    graph = map_recordings([frames], matcher, 65.0)
+    graph = map_recordings([frames], sift, 65.0)
     assert isinstance(graph, FrameMap)
     assert graph.places.tolist() == [[1, 0, 90], [1, 0, 90], [2, 0, 90]]

