@@ -3,26 +3,24 @@
 import json
 import math
 import re
-import signal
 
 import numpy as np
 import pytest
 from commands import (
-    SAVED,
     TINY,
     done,
     have_the_same_weights,
     room_file,
     rows_of,
     run_recipe,
-    start_recipe,
     summary_of,
     train_config,
-    wait_until,
 )
 from refusals import refused
+from report import Options, chosen
 from rooms import grid_scene
 
+from dirl.cli.parsing import parse
 from dirl.config.files import config_text
 from dirl.experiments.efficiency import mean_stable_frames, training_curve
 from dirl.experiments.new_goals import new_goals
@@ -120,29 +118,20 @@ def test_runs_of_different_scenes_are_not_reported_together(tmp_path):
     refused("holds runs of different scenes, attic and cellar; report them apart$", finished_runs, tmp_path, "")
 
 
-def test_a_report_without_runs_says_how_to_make_them(tmp_path):
-    status, _, errors = run_recipe(tmp_path, "report", "experiment=fig8")
-    assert status == 1
-    assert "recipes/train.py -m experiment=fig8" in errors
+def test_a_report_without_runs_says_how_to_make_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused(r"recipes/train\.py -m experiment=fig8", chosen, parse(Options, ["experiment=fig8"]))
 
 
-def test_a_grid_that_was_killed_goes_on_to_the_same_result_when_it_is_given_again(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", *SMALL, SAVED, "reinforcement.frames_per_scene=1500"]
-    options += ["experiment=fig4"]
-    command = ["-m", *options, "system=dirl", "seed=0,1"]
-    process = start_recipe(tmp_path, "train", *command)
-    first, second = (tmp_path / f"runs/experiments/fast/dirl_random_0.05_{seed}" for seed in (0, 1))
-    wait_until(lambda: list(second.glob("checkpoints/0*[1-9]???.pt")))
-    process.send_signal(signal.SIGKILL)
-    assert process.wait().status == -signal.SIGKILL
-    assert (first / "summary.json").exists()
-    assert not (second / "summary.json").exists(), "it was not killed in time"
-    printed = done(tmp_path, "train", *command)
-    assert "finished before: runs/experiments/fast/dirl_random_0.05_0" in printed
-    whole = [*options, "system=dirl", "seed=1", "hydra.run.dir=whole"]
-    done(tmp_path, "train", *whole)
-    assert have_the_same_weights(second, tmp_path / "whole")
-    status, _, errors = run_recipe(tmp_path, "train", *command, "evaluation.max_steps=49")
+def test_a_grid_that_is_given_again_makes_what_is_missing_and_takes_no_other_options(tmp_path):
+    options = ["-m", "experiment=fig4", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl"]
+    done(tmp_path, "train", *options, "seed=0")
+    first = tmp_path / "runs/experiments/fast/dirl_random_0.05_0/summary.json"
+    before = first.stat().st_mtime_ns
+    assert f"finished before: {first.parent.relative_to(tmp_path)}" in done(tmp_path, "train", *options, "seed=0,1")
+    assert set(summaries(tmp_path)) == {f"dirl_random_0.05_{seed}" for seed in (0, 1)}
+    assert first.stat().st_mtime_ns == before
+    status, _, errors = run_recipe(tmp_path, "train", *options, "seed=1", "evaluation.max_steps=49")
     assert status == 1
     assert "evaluation.max_steps=50 instead of 49" in errors
 

@@ -1,10 +1,11 @@
-"""What the campaigns share: their command lines, forks with limits, files to work on, and tables of outcomes."""
+"""What the campaigns share: their command lines, forks with limits, files to work on, and counts of outcomes."""
 
 import os
 import resource
 import shutil
 import sys
 import tempfile
+from collections import Counter
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,13 +30,21 @@ def start(main):
     sys.exit(bool(failed))
 
 
-def table(counts, title, outcomes):
-    """How often each kind had each outcome, Markdown; ``counts`` by pairs of a kind and an outcome."""
-    lines = [f"| {title} | tried | " + " | ".join(outcomes) + " |", "|---|" + "--:|" * (len(outcomes) + 1)]
-    for kind in [*sorted({kind for kind, _ in counts}), "all"]:
-        numbers = [sum(n for (k, o), n in counts.items() if o == what and kind in (k, "all")) for what in outcomes]
-        lines.append(f"| {kind} | {sum(numbers)} | " + " | ".join(map(str, numbers)) + " |")
-    return "\n".join(lines)
+def conclude(cases, failures):
+    """Print the cases that failed, and how often each kind had each outcome; how many failed.
+
+    Args:
+        cases: of each case its kind, its outcome, and what it was.
+        failures: the outcomes that must not be.
+    """
+    counts = Counter()
+    for kind, outcome, *what in cases:
+        counts[kind, outcome] += 1
+        if outcome in failures:
+            print(f"{kind}, {outcome}:", *what, flush=True)
+    for (kind, outcome), number in sorted(counts.items()):
+        print(f"{kind}, {outcome}: {number}")
+    return sum(number for (_, outcome), number in counts.items() if outcome in failures)
 
 
 def in_a_fork(say, memory):

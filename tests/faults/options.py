@@ -12,12 +12,11 @@ import os
 import random
 import resource
 import shutil
-from collections import Counter
 
 os.environ |= {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1", "WANDB_MODE": "offline"}
 os.environ |= {"http_proxy": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"}  # nothing is looked up outside
 
-from campaign import start, table, work
+from campaign import conclude, start, work
 from commands import SHORT
 from forks import no_pictures, run, warm_up
 from options import SCHEMAS, command_line, draw_arguments, is_no_number, program
@@ -32,7 +31,6 @@ RECIPES = ("train",) * 9 + ("evaluate",) * 3 + tuple(name for name in SCHEMAS if
 LINE, ACCEPTED, STOPPED = "one line", "accepted, done", "accepted, stopped"
 NO_NUMBER, TRACEBACK, LINES, CRASH, HANG = "ACCEPTED NO NUMBER", "TRACEBACK", "NOT ONE LINE", "CRASH", "HANG"
 FAILURES = (NO_NUMBER, TRACEBACK, LINES, CRASH, HANG)
-OUTCOMES = (LINE, ACCEPTED, STOPPED, *FAILURES)
 
 
 def prepare():
@@ -57,7 +55,7 @@ def outcome(ended, began, recipe, arguments):
 
 
 def try_case(number, seed, files):
-    """Draw a case and run it; returns the recipe, the drawn arguments, the outcome and the last lines."""
+    """Draw a case and run it; returns the recipe, the outcome, the drawn arguments and the last lines."""
     rng = random.Random(f"{seed}/{number}")
     recipe = rng.choice(RECIPES)
     arguments = draw_arguments(rng, recipe)
@@ -67,19 +65,14 @@ def try_case(number, seed, files):
     ended = run(inside, program(recipe), *words, prepare=prepare, timeout=SECONDS, patience=PATIENCE)
     began = bool(ended.printed or ended.errors) or any(inside.iterdir())
     shutil.rmtree(files / "case")
-    return recipe, arguments, outcome(ended, began, recipe, arguments), ended.told[-3:]
+    return recipe, outcome(ended, began, recipe, arguments), arguments, ended.told[-3:]
 
 
 def main(count=500, seed=0):
-    """Try ``count`` cases; print the table; how many went wrong."""
+    """Try ``count`` cases; how many went wrong."""
     warm_up("train", "evaluate", "report", "scenes", "map", "go")
     with work() as folder:
-        done = [try_case(number, seed, folder) for number in range(count)]
-    print(f"{len(done)} cases, seed {seed}\n")
-    print(table(Counter((recipe, found) for recipe, _, found, _ in done), "recipe", OUTCOMES))
-    failed = [f"{what}: {recipe} {given}: {told}" for recipe, given, what, told in done if what in FAILURES]
-    print("\n".join(["", *failed]))
-    return len(failed)
+        return conclude((try_case(number, seed, folder) for number in range(count)), FAILURES)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Break runs and machines: a table of counts.
+"""Break runs and machines: how often each thing was as promised.
 
     python tests/faults/runs.py                                            # a minute
     python tests/faults/runs.py kills=200 faults=200 signals=50 seed=1
@@ -14,11 +14,10 @@ import shutil
 import signal
 import tempfile
 import time
-from collections import Counter
 from itertools import count
 from pathlib import Path
 
-from campaign import start, table
+from campaign import conclude, start
 from commands import SHORT, have_the_same_weights, room_file, rows_of, summary_of
 from forks import Child, no_pictures, run, warm_up
 from injection import KINDS, Faults
@@ -187,21 +186,20 @@ CASES = {"kills": kills, "signals": signals, "faults": faults, "machine": machin
 
 
 def main(**given):
-    """Try everything so often; print the table; how much was not as promised."""
-    counts, outcomes = COUNTS | given, Counter()
+    """Try everything so often; how much was not as promised."""
+    counts = COUNTS | given
     warm_up("train")
     folder = Path(tempfile.mkdtemp(prefix="faults-"))
     try:
         bench = Bench(folder)
-        for name, case in CASES.items():
-            for what, problem in case(bench, counts[name], random.Random(f"{name}{counts['seed']}")):
-                outcomes[name, "otherwise" if problem else "as promised"] += 1
-                if problem:
-                    print(f"{name}: {what}: {problem}", flush=True)
+        cases = (
+            (name, "otherwise" if problem else "as promised", what, problem)
+            for name, case in CASES.items()
+            for what, problem in case(bench, counts[name], random.Random(f"{name}{counts['seed']}"))
+        )
+        return conclude(cases, ["otherwise"])
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    print(table(outcomes, "what", ("as promised", "otherwise")))
-    return sum(number for (_, outcome), number in outcomes.items() if outcome == "otherwise")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,6 @@
 """Options as users mistype them, drawn from the schemas and the groups of ``conf/``; by a random number generator."""
 
 import importlib
-import types
-from enum import Enum
 from typing import get_args
 
 from forks import ROOT
@@ -92,10 +90,27 @@ def draw_arguments(rng, recipe):
         rng: a `random.Random`.
         recipe: a key of `SCHEMAS`.
     """
-    draws = [_any_value] * 8 + [_likely_value] * 4 + [_near_miss, _malformed] * 2
-    draws += [_component, _component, _choice, _choice] if recipe == "train" else []
-    drawn = [rng.choice(draws)(rng, recipe) for _ in range(rng.choice((1, 1, 1, 2, 3)))]
+    drawn = [_draw_argument(rng, recipe) for _ in range(rng.choice((1, 1, 1, 2, 3)))]
     return sorted([*(["-m"] if rng.random() < 0.06 else []), *drawn], key=_is_no_flag)
+
+
+def _draw_argument(rng, recipe):
+    """An option with any value, or its name misspelt; of a training also a component, or an option of one."""
+    kinds = ["value"] * 12 + ["misspelt", "malformed"] * 2 + ["component", "choice"] * 2 * (recipe == "train")
+    kind, name, value = rng.choice(kinds), rng.choice(list(option_types(SCHEMAS[recipe]))), rng.choice(VALUES)
+    if kind == "malformed":
+        return rng.choice(MALFORMED)
+    if kind == "misspelt":
+        place = rng.randrange(len(name))
+        wrong = rng.choice(("", name[place] * 2, "x", ".", "_", name[place].upper(), "/", "-", "é"))
+        name = f"{name[:place]}{wrong}{name[place + 1 :]}"
+    elif kind == "component":
+        name = f"{rng.choice(('', '', '', '+', '++', '~'))}{rng.choice(COMPONENTS)}"
+        value = rng.choice(TARGETS) if "_target_" in name else value
+    elif kind == "choice":
+        file = rng.choice(sorted(CONF.glob("*/*.yaml")))
+        name, value = file.parent.name, rng.choice([file.stem, file.stem, f"[{file.stem}]", value])
+    return f"{name}={value}"
 
 
 def _is_no_flag(argument):
@@ -104,7 +119,7 @@ def _is_no_flag(argument):
 
 def program(recipe):
     """The name of the program that a key of `SCHEMAS` is an option, or a command, of."""
-    return recipe if recipe in ("train", "evaluate", "report", "benchmark", "map", "go") else "scenes"
+    return "scenes" if recipe in RECIPES["scenes"].OPTIONS else recipe
 
 
 def command_line(recipe, arguments, files, tiny=()):
@@ -116,48 +131,5 @@ def command_line(recipe, arguments, files, tiny=()):
 def is_no_number(recipe, argument):
     """Whether an argument gives a number of the schema a value that is none."""
     name, _, value = argument.partition("=")
-    return value in NOT_FINITE and bool({int, float} & set(_kinds(option_types(SCHEMAS[recipe]).get(name))))
-
-
-def _kinds(kind):
-    """The types that a type allows."""
-    return get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
-
-
-def _any_value(rng, recipe):
-    return f"{rng.choice(list(option_types(SCHEMAS[recipe])))}={rng.choice(VALUES)}"
-
-
-def _likely_value(rng, recipe):
-    """A value of the right type, which may be out of bounds."""
-    name, kind = rng.choice(list(option_types(SCHEMAS[recipe]).items()))
-    choices = {int: ("0", "1", "3", "17", "1000", "9" * 12), float: ("0", "1", "0.3", "-0.3", "1e6", "1e-9")}
-    choices |= {bool: ("true", "false"), str: ("x", "1", "x.h5", "room"), type(None): ("null",)}
-    likely = []
-    for one in _kinds(kind):
-        likely += list(one) if isinstance(one, type) and issubclass(one, Enum) else choices.get(one, ())
-    return f"{name}={rng.choice(likely or VALUES)}"
-
-
-def _near_miss(rng, recipe):
-    """The name of an option with a letter too few, too many or another."""
-    name = rng.choice(list(option_types(SCHEMAS[recipe])))
-    place = rng.randrange(len(name))
-    wrong = rng.choice(("", name[place] * 2, "x", ".", "_", name[place].upper(), "/", "-", "é"))
-    return f"{name[:place]}{wrong}{name[place + 1 :]}={rng.choice(VALUES)}"
-
-
-def _malformed(rng, recipe):
-    return rng.choice(MALFORMED)
-
-
-def _component(rng, recipe):
-    name = rng.choice(COMPONENTS)
-    return f"{rng.choice(('', '', '', '+', '++', '~'))}{name}={rng.choice(TARGETS if '_target_' in name else VALUES)}"
-
-
-def _choice(rng, recipe):
-    groups = {path.parent.name for path in CONF.glob("*/*.yaml")}
-    group = rng.choice(sorted(groups))
-    known = sorted(path.stem for path in (CONF / group).glob("*.yaml"))
-    return f"{group}={rng.choice([*known, *known, f'[{known[0]}]', *rng.sample(VALUES, 2)])}"
+    kind = option_types(SCHEMAS[recipe]).get(name)
+    return value in NOT_FINITE and bool({int, float} & {kind, *get_args(kind)})

@@ -12,6 +12,7 @@ from dirl.scenes.graph import AHEAD
 from dirl.sources.rooms.description import Camera
 from dirl.sources.rooms.view import Renderer
 from dirl.sources.rooms.walkable import walk
+from dirl.sources.tours.alignment import wrap
 from dirl.sources.tours.pixels import Equirectangular
 from dirl.sources.tours.tour import Link, Panorama, Tour
 
@@ -239,6 +240,12 @@ def turned(truth, share, seed=0):
     middles = truth.middles.astype(float).copy()
     middles[chosen] = rng.uniform(0, 360, len(chosen))
     return replace(truth, middles=middles)
+
+
+def heading_errors(found, truly):
+    """How far off headings are, degrees, up to the zero that they share."""
+    off = np.radians(found - truly)
+    return np.abs(wrap(np.degrees(off - np.angle(np.exp(1j * off).mean()))))
 
 
 def tour_of(truth, off=None, dropped=()):

@@ -87,7 +87,7 @@ def test_the_recipes_say_it_in_one_line(trained, trap, tmp_path):
     assert not trap.exists()
 
 
-def test_trust_counts_only_where_the_user_gives_it(trained, trap):
+def test_trust_counts_only_where_the_user_gives_it(trained, trap, tmp_path):
     saved = load_checkpoint(trained / "run")
     text = poisoned(saved["config"], *CASES[1])
     config = yaml.safe_dump({**yaml.safe_load(text), "trust": ["trap"]})
@@ -95,3 +95,6 @@ def test_trust_counts_only_where_the_user_gives_it(trained, trap):
     assert not trap.exists()
     refused(r"no option 'encoder.command'", load_trained, {**saved, "config": text}, "the checkpoint", trust=["trap"])
     assert trap.exists()
+    save_checkpoint(tmp_path / "other" / "network.pt", {**saved, "config": text})
+    given = {"encoder": lambda images: images, "extractor": saved["extractor"], "trust": ["trap"]}
+    refused(r"no option 'encoder.command'", Navigator.load, tmp_path / "other", **given)

@@ -133,7 +133,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_is_gone_on_from(tm
     first, second = saved_run(tmp_path, 10, 20)
     second.write_bytes(second.read_bytes()[:-100])
     (tmp_path / "checkpoints" / ".unfinished-0123.pt").write_bytes(b"half")  # what a killed process left
-    run = resumed(tmp_path)
+    run = opened(tmp_path, "existing=keep")  # as a grid comes back to it
     assert run.saved["frames"] == 10
     (told,) = capsys.readouterr().err.splitlines()
     assert told.startswith(f"{second}: is damaged or no checkpoint of this version of dirl")

@@ -42,8 +42,12 @@ def test_a_run_is_trained_evaluated_and_drawn(room):
         run.plot("path")
 
 
-def test_several_seeds_make_several_runs(room):
-    runs = dirl.train(scene=room, seeds=[5, 2], out="both", **TINY)
+def test_several_seeds_make_several_runs_also_inside_another_hydra_application(room):
+    with hydra.initialize(version_base="1.3", config_path=None):
+        outer = GlobalHydra.instance().hydra
+        runs = dirl.train(scene=room, seeds=[5, 2], out="both", **TINY)
+        assert GlobalHydra.instance().hydra is outer
+        assert hydra.compose(overrides=["+own=3"]).own == 3
     assert [run.summary["seed"] for run in runs] == [5, 2]
     assert [str(run.folder) for run in runs] == ["both/seed_5", "both/seed_2"]
     assert all((run.folder / "network.pt").is_file() for run in runs)
@@ -66,11 +70,3 @@ def test_options_are_written_as_on_the_command_line():
         "init=null",
         "x=[true, 0.5]",
     ]
-
-
-def test_it_trains_inside_another_hydra_application(room):
-    with hydra.initialize(version_base="1.3", config_path=None):
-        outer = GlobalHydra.instance().hydra
-        assert dirl.train(scene=room, out="inside", **TINY).summary["frames"] == 300
-        assert GlobalHydra.instance().hydra is outer
-        assert hydra.compose(overrides=["+own=3"]).own == 3

@@ -16,7 +16,6 @@ from shown_goals import rooms as shown_rooms
 from dirl import Navigator
 from dirl.agent.mapping import load_graph
 from dirl.agent.mapping.places import ParticleMapper, resampled, without_doubles
-from dirl.agent.navigator import NavigatorError
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.map_accuracy import map_quality, map_scene
@@ -57,6 +56,14 @@ def test_a_walk_through_changing_rooms_makes_a_right_map_and_ends_by_itself(worl
         assert len(passed) < 3 * len(world.scenes[index])
 
 
+def protocol_of(world, scores, recogniser=None, *, goal_view="surrounding", **conditions):
+    """Episodes from every start, of an agent that localises and stops by log odds."""
+    match = "front" if goal_view == "front" else "views"
+    stop = TemplateStop(0.0, match, recogniser or Odds()).compared(world)
+    conditions = {"memory": LocalisingMemory(), "scores": scores, **conditions}
+    return EvaluationProtocol(world, SurroundingViews(world, goal_view), every_start(world), stop, 60, **conditions)
+
+
 @pytest.mark.parametrize(("headings", "panorama"), [(8, False), (12, True)])
 def test_turns_may_be_small_and_panoramas_seen_at_once(headings, panorama):
     world = make_world([grid_scene(3, 2, headings=headings, goals=(5, 3 * headings), noise=0.1, **SIZE)])
@@ -64,10 +71,7 @@ def test_turns_may_be_small_and_panoramas_seen_at_once(headings, panorama):
     known, passed = map_scene(world, 0, memory, scores, 4, panorama=panorama)
     assert map_quality(known, passed, world, 0) == (1, 1, 0)
     assert known.places.goal.shape[2] == (headings if panorama else 4)
-    stop, observation = TemplateStop(0.0, "views", Odds()).compared(world), SurroundingViews(world)
-    protocol = EvaluationProtocol(
-        world, observation, every_start(world), stop, 60, memory=memory, scores=scores, panorama=panorama
-    )
+    protocol = protocol_of(world, scores, panorama=panorama)
     assert metrics(protocol.run(indifferent()))["sr"] == 1
     found = metrics(replace(protocol, maps=[known]).run(indifferent()))
     assert found["sr"] == 1
@@ -102,11 +106,7 @@ def test_a_walk_through_a_tour_tests_what_it_guesses_and_its_map_leads_to_goals_
     known, passed = map_scene(world, 0, memory, scores, 6, panorama=True)
     assert map_quality(known, passed, world, 0) == (1, 1, 0)
     assert all(here != there for here, there in pairwise(passed))  # arrows tell which moves are blocked
-    stop = TemplateStop(0.0, "views", WholeOdds()).compared(world)
-    protocol = EvaluationProtocol(
-        world, SurroundingViews(world), every_start(world), stop, 60, memory=memory, scores=scores, panorama=True
-    )
-    protocol = replace(protocol, maps=[known], memory=Told(), arrows=True)
+    protocol = protocol_of(world, scores, WholeOdds(), memory=Told(), panorama=True, maps=[known], arrows=True)
     assert metrics(protocol.run(indifferent()))["sr"] == 1
     assert protocol.memory.arrows.shape[1:] == (8, 4)
 
@@ -215,11 +215,7 @@ def test_particles_are_drawn_by_their_probabilities():
 
 
 def test_episodes_with_a_map_go_straight_to_any_goal(world, scores, walks):
-    stop = TemplateStop(0.0, "front", Odds()).compared(world)
-    observation = SurroundingViews(world, "front")
-    protocol = EvaluationProtocol(
-        world, observation, every_start(world), stop, 60, memory=LocalisingMemory(), scores=scores
-    )
+    protocol = protocol_of(world, scores, goal_view="front")
     alone = metrics(protocol.run(indifferent()))
     found = metrics(replace(protocol, maps=[known for known, _ in walks]).run(indifferent()))
     assert found["sr"] == 1
@@ -293,8 +289,8 @@ def test_a_map_of_panoramas_is_made_and_used_by_a_robot_that_turns_by_45_degrees
     assert passed[-1] == 13
     assert len(passed) - 1 == place.scenes[0].distances[40, 13]
     navigator.turns = 4
-    with pytest.raises(NavigatorError, match=r"^graph: was made with turns=8, this navigator has 4"):
-        navigator.reset(images_of(place.surrounding[13]), graph=folder)
+    told = r"^graph: was made with turns=8, this navigator has 4"
+    refused(told, navigator.reset, images_of(place.surrounding[13]), graph=folder)
 
 
 def test_a_map_of_places_needs_a_memory_that_localises(navigator, place, walks):

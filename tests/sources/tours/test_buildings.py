@@ -7,7 +7,7 @@ import pytest
 from buildings import Building, write_building_tour
 from closet import closet
 from PIL import Image
-from tours import grid_truth, tour_of, turned
+from tours import grid_truth, heading_errors, tour_of, turned
 
 from dirl.sources.tours import read_tour
 from dirl.sources.tours.alignment import LEAD, align, wrap
@@ -27,9 +27,8 @@ def closets(tmp_path_factory):
 
 
 def errors(made, middles):
-    """How far off the headings of panoramas are, degrees, up to the zero that they share."""
-    off = np.radians(made.scene.headings[0] - made.yaws[:, 0] - middles)
-    return np.abs(wrap(np.degrees(off - np.angle(np.exp(1j * off).mean()))))
+    """How far off the headings of panoramas are, degrees."""
+    return heading_errors(made.scene.headings[0] - made.yaws[:, 0], middles)
 
 
 def changed(tour, cut=(), off=0.0):
@@ -64,8 +63,7 @@ def test_what_panoramas_show_takes_the_place_of_links_that_are_missing_or_wrong(
     turn = {(a, b): wrap(np.array(truth.middles[b] - truth.middles[a])) for a, b, _ in truth.links}
     seen = {pair: Seen(float(turn[pair]), 1.0) for pair in [*((b, a) for a, b in one_way), (4, 5)]}
     made = align(tour, seen)
-    off = np.radians(made.headings - truth.middles)
-    assert np.abs(wrap(np.degrees(off - off[0]))).max() < 1e-6
+    assert heading_errors(made.headings, truth.middles).max() < 1e-6
     assert (made.part == 0).all()
     assert made.loops.max() < 1e-6
     unsure = {pair: replace(found, lead=LEAD / 2) for pair, found in seen.items()}
@@ -79,8 +77,8 @@ def test_of_a_lone_loop_that_does_not_close_the_pair_with_a_near_rival_is_left_o
     turn = {(a, b): float(wrap(np.array(truth.middles[b] - truth.middles[a]))) for a, b in ways}
     for wrong in ways:
         seen = {pair: Seen(turn[pair], 1.0) for pair in ways} | {wrong: Seen(turn[wrong] + 150, 1.0, 0.5)}
-        off = align(tour_of(truth, None, [(b, a) for a, b in ways]), seen).headings - truth.middles
-        assert np.abs(wrap(off - off[0])).max() < 1e-6, wrong
+        made = align(tour_of(truth, None, [(b, a) for a, b in ways]), seen)
+        assert heading_errors(made.headings, truth.middles).max() < 1e-6, wrong
 
 
 def test_pictures_that_show_nothing_are_not_believed(tmp_path):
