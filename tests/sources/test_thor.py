@@ -48,7 +48,9 @@ class Simulator:
         at = {"x": self.cell[0] / 2 - NOISE, "y": 0.9009991884231567, "z": self.cell[1] / 2 + NOISE}
         agent = {"position": at, "rotation": {"x": -0.0, "y": self.heading + NOISE, "z": 0.0}}
         metadata = {"agent": agent, "lastActionSuccess": not message, "errorMessage": message}
-        return SimpleNamespace(metadata=metadata, frame=np.full((3, 4, 3), 60 * (self.heading // 90), np.uint8))
+        frame = np.full((3, 4, 3), 60 * (self.heading // 90), np.uint8)
+        frame[2, 3] += 9  # what is of one colour would be refused
+        return SimpleNamespace(metadata=metadata, frame=frame)
 
 
 def test_the_controller_is_started_as_asked_and_its_failure_is_one_line(monkeypatch):

@@ -75,12 +75,6 @@ def test_principal_axes_are_used_where_there_are_no_more_states_than_features(
     assert (policy.cached.surrounding is not None) == (observation == "surrounding")
 
 
-def test_a_machine_without_a_gpu_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    config = train_config(f"scene={room_file(tmp_path)}", "device=cuda")
-    refused("^device=cuda: torch sees no CUDA device here; use device=cpu$", build_world, config)
-
-
 def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
     options = [f"scene={room_file(tmp_path)}", *SMALL, "hold_out=0.3", "imitation.fraction=1"]
     parts = make_parts(*options, "imitation.sampled=true", "imitation.goals=all")

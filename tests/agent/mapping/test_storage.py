@@ -30,11 +30,8 @@ def test_a_map_comes_back_as_it_was(saved):
     assert sorted(path.name for path in folder.iterdir()) == ["map.pt"]
 
 
-def test_another_extractor_is_refused(saved):
+def test_a_map_of_another_extractor_a_file_of_something_else_and_none_are_refused(saved):
     refused("was made with another extractor: 'random', not 'resnet'", load_graph, saved[1], extractor="resnet")
-
-
-def test_a_file_of_something_else_is_refused_and_none_too(saved):
     file = saved[1] / "map.pt"
     save_checkpoint(file, {"turns": 4})
     refused("is no map of dirl", load_graph, saved[1])

@@ -7,23 +7,17 @@ from pathlib import Path
 
 import pytest
 from commands import wait_until
+from refusals import refused
 from tasks import die, fail
 
-from dirl.scenes import SceneError
 from dirl.scenes.io.processes import in_processes
-from dirl.scenes.live import SimulatorError
 
 
-def test_a_failed_simulator_in_a_process_is_its_one_line():
-    with pytest.raises(
-        SimulatorError, match=r"^VizDoom failed \(RuntimeError: its window is gone\); run the command again$"
-    ):
-        list(in_processes([fail], 1, "a test"))
-
-
-def test_a_killed_process_is_one_line():
-    with pytest.raises(SceneError, match=r"^rooms: a process was killed, .*; if it happens again, give workers=1$"):
-        list(in_processes([die], 1, "rooms: a process"))
+def test_a_failed_simulator_in_a_process_and_a_killed_process_are_one_line():
+    told = r"^VizDoom failed \(RuntimeError: its window is gone\); run the command again$"
+    refused(told, list, in_processes([fail], 1, "a test"))
+    told = "^rooms: a process was killed, .*; if it happens again, give workers=1$"
+    refused(told, list, in_processes([die], 1, "rooms: a process"))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="elsewhere 0 is a signal that ends a process")
