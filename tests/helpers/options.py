@@ -28,6 +28,9 @@ VALUES = (
 )  # fmt: skip
 """Numbers, lists and mappings, sweeps, interpolations, unbalanced quotes, texts and names of files."""
 
+LIKELY = ("0", "1", "3", "17", "0.3", "1e-9", "true", "false", "null", "all", "cpu", "ncc", "x")
+"""What some option takes."""
+
 MALFORMED = (
     "=", "=5", "scene", "~scene", "~nope", "+", "++", "a.=1", ".a=1", "a..b=1", "a@b=c", "seed =1", "seed==1", "1=2",
     "[a]=1", "{}=1", "++nope=1", "+nope=1", "scene.a=1", "seed.a=1", "scene[0]=1", "hydra=1", "hydra.nope=1",
@@ -97,7 +100,8 @@ def draw_arguments(rng, recipe):
 def _draw_argument(rng, recipe):
     """An option with any value, or its name misspelt; of a training also a component, or an option of one."""
     kinds = ["value"] * 12 + ["misspelt", "malformed"] * 2 + ["component", "choice"] * 2 * (recipe == "train")
-    kind, name, value = rng.choice(kinds), rng.choice(list(option_types(SCHEMAS[recipe]))), rng.choice(VALUES)
+    kind, name = rng.choice(kinds), rng.choice(list(option_types(SCHEMAS[recipe])))
+    value = rng.choice(rng.choice((VALUES, VALUES, LIKELY)))
     if kind == "malformed":
         return rng.choice(MALFORMED)
     if kind == "misspelt":

@@ -12,7 +12,7 @@ from torch import nn
 
 from dirl.envs.transforms import front_only
 from dirl.models import ComparingEncoder, SiameseEncoder, distinct
-from dirl.models.distinct import CachedEncoder, EmbeddingCache, Keys, packable
+from dirl.models.distinct import CachedEncoder, Keys, packable
 
 
 @given(st.lists(st.lists(st.integers(0, 55_107), min_size=4, max_size=4), min_size=1, max_size=20))
@@ -23,23 +23,6 @@ def test_packed_rows_unpack_to_themselves(rows):
     assert len(packed.unique()) == len({tuple(row) for row in rows})
     assert packable(55_108, 4)
     assert not packable(55_109, 4)
-
-
-@pytest.mark.parametrize("every", [None, 41])
-@given(questions=st.lists(st.lists(st.integers(0, 40), min_size=1, max_size=10), min_size=1, max_size=6))
-def test_a_cache_gives_each_keys_row_and_computes_none_twice(every, questions):
-    computed = []
-
-    def square(keys):
-        computed.extend(keys.tolist())
-        return (keys**2).float()
-
-    cache = EmbeddingCache(square, every)
-    for question in questions:
-        places = cache.places(torch.tensor(question))
-        assert cache.keys[places].tolist() == question
-        assert cache.rows[places].tolist() == [key**2 for key in question]
-    assert sorted(computed) == (list(range(41)) if every else sorted(set().union(*questions)))
 
 
 class Attention(nn.Module):

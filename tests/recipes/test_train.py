@@ -1,7 +1,6 @@
 import json
 import re
 
-import pytest
 from commands import TINY, done, room_file, rows_of, run_recipe, summary_of
 
 
@@ -33,15 +32,8 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     assert all(again[mode] == summary[mode] for mode in ("greedy", "sampled", "random", "shortest_path"))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["system=td_drl", "objective=ppo", "reinforcement.minibatches=2", "stop.training=match"],
-        ["preset=paper", "reinforcement.max_steps=50", "evaluation.starts=sampled", "evaluation.episodes_per_goal=5"],
-    ],
-    ids=["td_drl with ppo", "paper"],
-)
-def test_train_with_other_systems_and_presets(tmp_path, options):
+def test_train_without_an_expert_by_ppo_and_with_stops_where_views_match(tmp_path):
+    options = ["system=td_drl", "objective=ppo", "reinforcement.minibatches=2", "stop.training=match"]
     done(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options)
     assert summary_of(only_run(tmp_path))["frames"] == 600
 
