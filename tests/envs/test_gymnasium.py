@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import dirl.envs  # noqa: F401  registers dirl/Navigation-v0
-from dirl.envs import Reward
+from dirl.envs import Reward  # which registers dirl/Navigation-v0
+from dirl.envs.gymnasium import NavigationGym
 from dirl.scenes import SceneError
 
 NAME = "dirl/Navigation-v0"
@@ -77,8 +77,6 @@ def test_many_agents_share_the_tables_of_their_scene_until_its_file_changes(room
     ],
 )
 def test_a_wrong_argument_is_named(room, given, error, said):
-    from dirl.envs.gymnasium import NavigationGym
-
     with pytest.raises(error, match=said):
         NavigationGym(**{**room, **given})
 

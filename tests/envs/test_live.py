@@ -1,5 +1,7 @@
 """Training in a simulator: agents in turns, views that are encoded when they are seen, moves that go wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -15,7 +17,6 @@ from dirl.evaluation.live_episodes import Remembered
 from dirl.models import FeatureTable
 from dirl.scenes import make_world, write_dump
 from dirl.scenes.live import Pose
-from dirl.scenes.scene import Scene
 from dirl.sources.simulators import take_scene
 from dirl.training import simulation
 from dirl.training.simulation import Live, live_protocol, open_live
@@ -25,20 +26,15 @@ def encode(images):
     return images.flatten(1).float()
 
 
-def encoded(scene, simulator, **facts):
-    """The scene with the features of what the simulator shows at each state."""
-    images = []
-    for (x, z), heading in zip(scene.positions.tolist(), scene.headings.tolist(), strict=True):
-        simulator.place(Pose(x, z, heading))
-        images.append(simulator.look(heading))
-    features = encode(torch.from_numpy(np.stack(images))).numpy()
-    facts |= {name: getattr(scene, name) for name in ("name", "graph", "positions", "headings", "source")}
-    return Scene(**facts, features=features)
-
-
 def field_scene():
+    """The field with the features of what it shows at each state."""
     scene, _ = take_scene(Field(), source="field", step=1.0, turn=90)
-    return encoded(scene, Field(), goals=(0, 17), extractor="colours")
+    field, images = Field(), []
+    for (x, z), heading in zip(scene.positions.tolist(), scene.headings.tolist(), strict=True):
+        field.place(Pose(x, z, heading))
+        images.append(field.look(heading))
+    features = encode(torch.from_numpy(np.stack(images))).numpy()
+    return replace(scene, features=features, goals=(0, 17), extractor="colours", views=None)
 
 
 def make_env(agents=6, views=200, simulator=None, **options):
