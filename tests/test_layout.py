@@ -66,13 +66,10 @@ def test_every_wing_has_a_floor_and_the_root_no_module_of_its_own():
     assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
-def test_no_wing_imports_upwards():
+def test_no_wing_imports_upwards_and_no_more_than_before_import_each_other():
     floor_of = {wing: number for number, floor in enumerate(FLOORS) for wing in floor}
     between = {pair: where for pair, where in arrows().items() if len(pair) == 2 and set(pair) <= set(floor_of)}
     assert not {pair: where for pair, where in between.items() if floor_of[pair[0]] <= floor_of[pair[1]]}
-
-
-def test_no_more_wings_import_each_other_than_before():
     assert len(arrows()) <= ARROWS
 
 

@@ -42,15 +42,12 @@ class Straight:
         return None, np.array([self.at, 0.0])
 
 
-def test_an_episode_ends_within_63_units_or_after_5000_steps():
+def test_an_episode_of_672_ends_within_63_units_or_after_5000_steps():
+    assert len(TESTS) * len(STARTS) * len(TESTS[0].goals) * 6 == 672
+    assert not {maze.name for maze in TESTS} & {maze.name for maze in VALIDATION}
     assert walk(Straight(), "map02", (500, 0), lambda frame: AHEAD) == (True, 44)  # at 440 units
     assert walk(Straight(), "map02", (500, 0), lambda frame: IDLE) == (False, STEPS)
     assert walk(Straight(), "map02", (63, 0), lambda frame: IDLE) == (True, 0)
-
-
-def test_the_protocol_has_672_episodes():
-    assert len(TESTS) * len(STARTS) * len(TESTS[0].goals) * 6 == 672
-    assert not {maze.name for maze in TESTS} & {maze.name for maze in VALIDATION}
 
 
 def test_a_folder_without_the_mazes_is_one_line(tmp_path):

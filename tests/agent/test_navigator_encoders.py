@@ -34,7 +34,7 @@ def finished_run(folder, extractor):
     return folder
 
 
-def test_an_encoder_is_loaded_by_name_and_compared_by_itself(run, resnet50):
+def test_an_encoder_is_loaded_by_name_and_compared_by_what_it_says_of_itself(run, resnet50):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         navigators = Navigator.load(run, "resnet50_small"), Navigator.load(run, resnet50), Navigator.load(run)
@@ -45,9 +45,6 @@ def test_an_encoder_is_loaded_by_name_and_compared_by_itself(run, resnet50):
     expected = navigators[0].act(other).scores.matching
     assert expected < 0.999
     assert [one.act(other).scores.matching for one in navigators] == pytest.approx([expected] * 3, abs=1e-5)
-
-
-def test_an_encoder_with_another_text_is_refused(run):
     refused(r"another extractor: '.*96x128.*', not '.*224x224.*'", Navigator.load, run, "resnet50")
 
 

@@ -184,8 +184,8 @@ def test_new_goals_are_as_far_from_the_nearest_trained_one_as_is_asked():
 
 def test_dirl_with_compared_goals_is_shown_the_way_to_other_goals_than_its_own(tmp_path):
     """At 12 of 24 states, to every place that is not held out: 16 goals, of which the run has two."""
-    write_dump(tmp_path / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
-    options = ["scene=room.h5", "network.components=8", "encoder.width=32", "heads.width=32", "hold_out=0.34"]
+    options = [f"scene={room_file(tmp_path, patches=True)}", "network.components=8", "encoder.width=32"]
+    options += ["heads.width=32", "hold_out=0.34"]
     options += ["imitation.batch_size=64", "imitation.max_steps=20", "evaluation.max_steps=30", "imitation.noise=0.5"]
     options += ["imitation.fraction=0.5", "reinforcement.frames_per_scene=400", "reinforcement.agents_per_scene=4"]
     line = ["experiment=table2", "system=dirl_compared", *options, "hydra.run.dir=runs/experiments/fast/compared"]

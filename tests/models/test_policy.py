@@ -33,11 +33,6 @@ def test_torchrls_operators_compute_what_the_network_computes(policy, cached):
     assert len(calls) == 2  # once for observations, once for goals
 
 
-def test_the_published_network_has_its_number_of_parameters():
-    made = make_policy(torch.zeros(1, 2048), ["a", "b", "c", "d"], width=512)
-    assert sum(value.numel() for value in made.parameters()) == 5_780_500
-
-
 def test_its_plain_weights_are_those_without_what_makes_it_fast(policy):
     expected = {name: value.clone() for name, value in policy.state_dict().items()}
     policy.cache(SURROUNDING)
@@ -90,6 +85,8 @@ def test_each_row_goes_through_the_layer_of_its_scene(layers, scene, late, monke
     torch.testing.assert_close(layers(rows, torch.tensor(scene)), expected)
 
 
-def test_a_scenes_weights_carry_its_name():
+def test_weights_carry_the_names_of_scenes_and_are_as_many_as_published():
+    made = make_policy(torch.zeros(1, 2048), ["a", "b", "c", "d"], width=512)
+    assert sum(value.numel() for value in made.parameters()) == 5_780_500
     assert "value.scenes.kitchen.weight" in ActorCriticHeads(SCENES, 5, 4, 3).state_dict()
     assert "scenes.v1_0.weight" in SceneTrunks(["v1.0"], lambda: nn.Linear(1, 1)).state_dict()

@@ -3,16 +3,12 @@
 import json
 
 import pytest
-from commands import TINY, done, run_recipe, summary_of
-from rooms import grid_scene
-
-from dirl.scenes import write_dump
+from commands import TINY, done, room_file, run_recipe, summary_of
 
 
 @pytest.mark.parametrize("policy", ["actor_critic", "shortest_path"])
 def test_goals_held_out_are_evaluated_apart(tmp_path, policy):
-    write_dump(tmp_path / "room.h5", grid_scene(goals=(0, 13), feature_width=32))
-    asked = [f"scene={tmp_path / 'room.h5'}", "goals=all", "hold_out=0.34", f"policy={policy}", "hydra.run.dir=run"]
+    asked = [f"scene={room_file(tmp_path)}", "goals=all", "hold_out=0.34", f"policy={policy}", "hydra.run.dir=run"]
     printed = done(tmp_path, "train", *TINY, *asked)
     assert "Goals held out of the training:" in printed
     summary = summary_of(tmp_path / "run")
@@ -41,8 +37,7 @@ ANY_GOAL += ["evaluation.max_steps=30", "evaluation.goals=3"]
 def any_goal(tmp_path_factory):
     """A folder with a room with patches and a run that was trained for any goal of it."""
     folder = tmp_path_factory.mktemp("any_goal")
-    write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32, patches=True))
-    printed = done(folder, "train", *ANY_GOAL, "scene=room.h5", "hydra.run.dir=run")
+    printed = done(folder, "train", *ANY_GOAL, f"scene={room_file(folder, patches=True)}", "hydra.run.dir=run")
     assert "Goals held out of the training:" in printed
     return folder
 
@@ -66,9 +61,8 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
     assert len(set(found.values())) == 4
 
 
-def test_a_room_without_patches_is_told_before_anything_is_made(any_goal):
-    write_dump(any_goal / "bare.h5", grid_scene(goals=(0, 13), feature_width=32))
-    status, _, errors = run_recipe(any_goal, "train", *ANY_GOAL, "scene=bare.h5", "hydra.run.dir=bare")
+def test_a_room_without_patches_is_told_before_anything_is_made(tmp_path):
+    status, _, errors = run_recipe(tmp_path, "train", *ANY_GOAL, f"scene={room_file(tmp_path)}", "hydra.run.dir=run")
     assert status == 1
-    assert not (any_goal / "bare").exists()
+    assert not (tmp_path / "run").exists()
     assert "grid has none; encode it again by scenes.py encode ... patches=true" in errors.splitlines()[-1]

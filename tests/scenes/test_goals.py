@@ -40,11 +40,8 @@ def test_places_held_out_are_never_trained(scene, rule):
     assert not np.isin(place[states(chosen)], place[held]).any()
     if isinstance(rule, str):
         assert chosen.held_out == choose_goals([scene], "all", hold_out=1 / 3, seed=2).held_out
-
-
-def test_share_and_places_held_out_make_up_the_scene(scene):
-    chosen = choose_goals([scene], "fraction:0.5", hold_out=0.5, seed=1)
-    assert sorted([*states(chosen), *chosen.held_out["grid"]]) == list(range(24))
+        halves = choose_goals([scene], rule, hold_out=0.5, seed=1)
+        assert sorted([*states(halves), *halves.held_out["grid"]]) == list(range(24))
 
 
 def test_scenes_have_rules_of_their_own(scene):
