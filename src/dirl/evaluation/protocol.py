@@ -100,12 +100,12 @@ def report(episodes: Episodes, world: World, metric: Metric | None = None) -> Re
     summary: Report = {**metrics(episodes, metric), "scenes": {}}
     order = torch.argsort(episodes.goal_index, stable=True)
     sizes = torch.bincount(episodes.goal_index, minlength=len(world.goals)).tolist()
-    for goal, those in zip(world.goals.tolist(), order.split(sizes), strict=True):
-        scene, local = world.local(goal)
-        if scene.name not in summary["scenes"]:
-            inside = world.scene_of[episodes.start] == world.scene_of[goal]
-            summary["scenes"][scene.name] = {**metrics(episodes.select(inside), metric), "goals": {}}
-        summary["scenes"][scene.name]["goals"][str(local)] = metrics(episodes.select(those), metric)
+    of_goals = order.split(sizes)
+    for index, name in enumerate(world.names):
+        inside = world.scene_of[episodes.start] == index
+        goals = zip(world.local_goals(index).tolist(), world.goals_of[index], strict=True)
+        by_goal = {str(goal): metrics(episodes.select(of_goals[place]), metric) for goal, place in goals}
+        summary["scenes"][name] = {**metrics(episodes.select(inside), metric), "goals": by_goal}
     return summary
 
 

@@ -13,6 +13,7 @@ from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, 
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.runs.checkpoints import RunError
+from dirl.scenes import Scene
 from dirl.scenes.goals import well_reached
 from dirl.scenes.world import World
 from dirl.training.build import build_goals
@@ -150,7 +151,8 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
             changes = {"goals": {scene: [goal]}, "evaluation.max_steps": MAX_STEPS, "evaluation.starts": "every"}
             _, policy, protocol = run.load(changes)
             goal_index, start = protocol.starts
-            there = goal_index == protocol.world.goals_of[protocol.world.names.index(scene)][0]
+            index = protocol.world.names.index(scene)
+            there = goal_index == protocol.world.goals_of[index][0]
             episodes, paths = protocol.trajectories(policy, (goal_index[there], start[there]), greedy=False)
             farthest = int(episodes.shortest.argmax())
             walked.append(episodes.steps[farthest].item())
@@ -158,7 +160,8 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
             if run is runs[0]:
                 arrived, name = bool(episodes.success[farthest]), f"fig6_{system}"
                 pictures[name] = f"The path of {NAMES[system]} from the farthest start on the map, and views along it"
-                _draw_walk(protocol.world, run, goal, paths[farthest], out / name, success=arrived)
+                path = [state - protocol.world.offsets[index] for state in paths[farthest]]
+                _draw_walk(protocol.world.scenes[index], run, goal, path, out / name, success=arrived)
         steps, rates = [means["atl"] for means in every], [means["sr"] for means in every]
         shortest = int(episodes.shortest.max())
         table.add(NAMES[system], len(runs), paper.get(system), walked, steps, rates, shortest)
@@ -169,12 +172,10 @@ def report_control(results: Sequence[Result], out: Path, note: str, scene: str, 
     return write_tables(out, "Figure 6: the control process", text, {"fig6": table}, pictures)
 
 
-def _draw_walk(world: World, run: Result, goal: int, path: list[int], file: Path, *, success: bool) -> None:
+def _draw_walk(room: Scene, run: Result, goal: int, path: list[int], file: Path, *, success: bool) -> None:
     """Draw the states of an episode; the file's name gets the endings png, svg and gif."""
-    room = world.local(path[0])[0]
-    local = [world.local(state)[1] for state in path]
     ended = f"{len(path) - 1} steps" if success else "failed"
     title = f"{run_title({**run.summary, 'scene': room.name, 'source': room.source})}, new goal {goal}: {ended}"
     for kind in ("png", "svg"):
-        draw_trajectories(room, goal, [local], file.with_suffix(f".{kind}"), success=[success], title=title)
-    write_gif(room, goal, local, file.with_suffix(".gif"), title=title, success=success)
+        draw_trajectories(room, goal, [path], file.with_suffix(f".{kind}"), success=[success], title=title)
+    write_gif(room, goal, path, file.with_suffix(".gif"), title=title, success=success)

@@ -132,11 +132,6 @@ class World:
         moved = {name: value.to(device) for name, value in values.items() if isinstance(value, Tensor)}
         return World(**{**values, **moved})
 
-    def local(self, state: int) -> tuple[Scene, int]:
-        """Return the scene of a state of the world, and the state's number in it."""
-        index = int(self.scene_of[state])
-        return self.scenes[index], state - self.offsets[index]
-
 
 Goals = int | Sequence[int] | Mapping[str, int | Sequence[int]] | None
 """Goal states of one scene, or of several by name."""

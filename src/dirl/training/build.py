@@ -435,7 +435,7 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
 def trained_policy(
     saved: State, origin: str, config: TrainConfig, world: World, observation: SurroundingViews
 ) -> ActorCritic:
-    """Return the policy of a checkpoint, see `load_trained`, in a world of its configuration or with other goals.
+    """Return the policy of a checkpoint in evaluation mode, see `load_trained`, with its world's or other goals.
 
     Raises:
         ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
@@ -450,7 +450,7 @@ def trained_policy(
     if config.network.cache == Cache.auto and hasattr(policy, "cache"):
         surrounding, front = _seen_of_each(observation, front=False)
         policy.cache(surrounding, views=views, front=front)
-    return policy
+    return policy.eval()
 
 
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, State]:
