@@ -1,6 +1,6 @@
 """Find the way to a photo by the map of a video.
 
-    python recipes/go.py map=walk.npz photo=goal.jpg start=here.jpg out=way.png
+    python recipes/go.py map=walk.pt photo=goal.jpg start=here.jpg out=way.png
 
 All options: `Options` below.
 """

@@ -1,6 +1,6 @@
 """Make a map of a first-person video: its frames, and links between frames of one place.
 
-    python recipes/map.py video=walk.mp4 out=walk.npz field_of_view=65
+    python recipes/map.py video=walk.mp4 out=walk.pt field_of_view=65
 
 All options: `Options` below.
 """
@@ -18,7 +18,7 @@ from dirl.config.options import option
 class Options:
     """Make a map of first-person recordings."""
 
-    out: str = option("a new file (.npz) for the map")
+    out: str = option("a new file (.pt) for the map")
     video: Any = option("a video, a folder of images (0.jpg, 1.jpg, ...), or several: [first.mp4,second.mp4]", None)
     bag: str | None = option("instead of a video: a bag of ROS 1 or 2 (.bag, .mcap, a folder)", None)
     topic: str | None = option("of a bag's images; null = the only one", None)
@@ -56,7 +56,7 @@ def main(options: Options) -> None:
     """Read the frames, look for links, write the map."""
     if (options.video is None) == (options.bag is None):
         raise ConfigError("video, bag: name a recording by one of them")
-    new_file(options.out, ending=".npz")
+    new_file(options.out, ending=".pt")
     for file, ending in ((options.page, ".html"), (options.route, ".geojson")):
         if file is not None:
             new_file(file, ending=ending)

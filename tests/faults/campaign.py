@@ -88,7 +88,7 @@ def work():
             wall.crop((32 * frame, 0, 32 * frame + 256, 192)).save(folder / "walk" / f"{frame}.png")
         options = {
             "train": [f"scene={folder / 'room.h5'}", *SHORT, "hydra.run.dir=runs/fast/0"],
-            "map": ["video=walk", "out=walk.npz"],
+            "map": ["video=walk", "out=walk.pt"],
         }
         for recipe, given in options.items():
             ended = run(folder, recipe, *given)

@@ -81,8 +81,8 @@ def base(recipe, files, tiny=()):
         "export": [room, "out=new.h5"],
         "import": [room, "out=new.h5"],
         "inspect": [room],
-        "map": [f"video={files / 'walk'}", "out=walk.npz"],
-        "go": [f"map={files / 'walk.npz'}", f"photo={files / 'walk' / '6.png'}"],
+        "map": [f"video={files / 'walk'}", "out=walk.pt"],
+        "go": [f"map={files / 'walk.pt'}", f"photo={files / 'walk' / '6.png'}"],
     }[recipe]
 
 

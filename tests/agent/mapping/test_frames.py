@@ -8,9 +8,10 @@ from hall import look, walk
 from refusals import refused
 
 from dirl.agent.mapping import MapError
-from dirl.agent.mapping.frames import FrameMap, check_memory, find_links, load_frames_map, map_recordings
+from dirl.agent.mapping.frames import SCHEMA, FrameMap, check_memory, find_links, load_frames_map, map_recordings
 from dirl.agent.mapping.moves import moves_along
 from dirl.perception.matching import Described, Fit, Motion
+from dirl.runs.checkpoints import save_checkpoint
 
 ALONG = [(1 + x, 2.5, 0) for x in range(14)]
 
@@ -162,7 +163,7 @@ def test_a_path_is_told_as_moves(graph, sift):
 
 
 def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, sift):
-    file = tmp_path / "walk.npz"
+    file = tmp_path / "walk.pt"
     graph.save(file)
     again = load_frames_map(file)
     assert again.pictures == graph.pictures
@@ -170,19 +171,17 @@ def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, s
     assert np.array_equal(again.described.vectors, graph.described.vectors)
     photo = sift.describe([look(6.4, 2.3, 4)])
     assert np.array_equal(again.find(sift, photo).scores, graph.find(sift, photo).scores)
-    with np.load(file) as stored:
-        arrays = dict(stored)
-    damages = {"links": np.array([[0, 99]]), "vectors": graph.described.vectors.astype(float)}
-    for name, values in damages.items():
-        np.savez(file, **arrays | {name: values})
-        refused(r"is no map that can be read \(.*the digest differs", load_frames_map, file)
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    refused("its digest differs from that of its content; make it anew", load_frames_map, file)
     narrow = replace(graph.described, vectors=graph.described.vectors[..., :9])
     refused("are described in another way", replace(graph, described=narrow).find, sift, photo)
-    np.savez(file, frames=np.zeros((2, 4, 4, 3), np.uint8))
+    save_checkpoint(file, {"schema": 3})
     refused("another version", load_frames_map, file)
-    file.write_bytes(file.read_bytes()[:100])
-    refused("no map that can be read", load_frames_map, file)
-    refused("no such map", load_frames_map, tmp_path / "none.npz")
+    save_checkpoint(file, {"schema": SCHEMA})
+    refused(r"is no map of dirl \(KeyError", load_frames_map, file)
+    refused("no such map", load_frames_map, tmp_path / "none.pt")
 
 
 def test_too_few_frames_other_shapes_and_too_many_frames_are_refused(sift):

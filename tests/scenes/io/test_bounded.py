@@ -1,12 +1,11 @@
-"""Readers with a bound: what is inside a folder, and archives that declare more than they hold."""
+"""Readers with a bound: what is inside a folder, and what is no text or no file."""
 
 import os
 
-import numpy as np
 import pytest
 
 from dirl.scenes import SceneError
-from dirl.scenes.io.files import inside, read_arrays, read_text
+from dirl.scenes.io.files import inside, read_text
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/abs/secret.png", "link.png"])
@@ -40,15 +39,3 @@ def test_bytes_that_are_no_text_and_pipes_are_refused(tmp_path):
     os.mkfifo(file)  # which may never end
     with pytest.raises(ValueError, match=r"a\.csv: is no regular file"):
         read_text(file)
-
-
-def test_arrays_are_read_unless_they_unpack_to_far_more_than_they_are(tmp_path, monkeypatch):
-    file = tmp_path / "a.npz"
-    np.savez_compressed(file, values=np.arange(6).reshape(2, 3), zeros=np.zeros(100_000))
-    assert read_arrays(file)["values"].tolist() == [[0, 1, 2], [3, 4, 5]]
-    monkeypatch.setattr("dirl.scenes.io.files.FREELY_UNPACKED", 2**19)
-    with pytest.raises(ValueError, match=r"a\.npz: .* bytes would unpack to 800\d\d\d"):
-        read_arrays(file)
-    file.write_bytes(file.read_bytes()[:-30])
-    with pytest.raises(ValueError, match=r"a\.npz: is no file of arrays that can be read"):
-        read_arrays(file)

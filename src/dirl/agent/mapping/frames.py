@@ -15,19 +15,21 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
+from torch import Tensor
 from tqdm import tqdm
 
 from dirl.agent.mapping.image_graph import MapError
 from dirl.perception.columns import load_column_net
 from dirl.perception.matching import SCALES, SHORTLIST, Described, FrameMatcher, Matcher, Motion, Scale, fit_closely
-from dirl.scenes.io.files import arrays_digest, atomic_path, read_arrays
+from dirl.runs.checkpoints import RunError, read_archive, save_checkpoint
 from dirl.scenes.views import encode, open_image, to_rgb
 
-SCHEMA = 3
+SCHEMA = 4
 
 NEIGHBOURS = 0.5
 """What the frames before and after count, beside the frame itself: a place is seen from both."""
@@ -216,37 +218,34 @@ class FrameMap:
         return scores
 
     def save(self, file: str | Path) -> None:
-        """Write the map, as an ``.npz`` file."""
-        arrays = {field.name: getattr(self, field.name) for field in fields(self)} | self.described.arrays
-        arrays |= {"schema": SCHEMA, "pictures": np.frombuffer(b"".join(self.pictures), np.uint8)}
-        arrays["lengths"] = [len(picture) for picture in self.pictures]
-        known = [name for name, array in arrays.items() if array is not None and name != "described"]
-        arrays = {name: np.asarray(arrays[name]) for name in known}
-        with atomic_path(Path(file)) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, **arrays, digest=arrays_digest(arrays))
+        """Write the map, sealed with a digest as checkpoints are."""
+        known: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        known |= known.pop("described").arrays
+        known["lengths"] = [len(picture) for picture in self.pictures]
+        known["pictures"] = np.frombuffer(bytearray().join(self.pictures), np.uint8)
+        arrays = {name: value for name, value in known.items() if isinstance(value, np.ndarray)}
+        tensors = {name: torch.from_numpy(np.require(array, requirements="W")) for name, array in arrays.items()}
+        save_checkpoint(Path(file), {**known, **tensors, "schema": SCHEMA})
 
 
 def load_frames_map(file: str | Path) -> FrameMap:
     """Read a map that was saved; `MapError` if there is none, or it is damaged."""
     try:
-        arrays: dict[str, Any] = read_arrays(Path(file))
-        if int(arrays.pop("schema", np.int64(1))) != SCHEMA:
+        known = read_archive(Path(file))
+        if known.pop("schema", 1) != SCHEMA:
             raise MapError(f"{file}: is a map of another version; make it anew with dirl map")
-        if str(arrays.pop("digest")) != arrays_digest({**arrays, "schema": np.asarray(SCHEMA)}):
-            raise ValueError("it is not as it was written: the digest differs")
-        pictures = np.split(arrays.pop("pictures"), np.cumsum(arrays.pop("lengths"))[:-1])
-        arrays["pictures"] = [picture.tobytes() for picture in pictures]
-        arrays["described"] = Described(*(arrays.pop(field.name) for field in fields(Described)))
-        arrays["field_of_view"], arrays["kind"] = float(arrays["field_of_view"]), str(arrays["kind"])
-        arrays["size"] = tuple(arrays["size"].tolist())
-        graph = FrameMap(**arrays)
+        known = {name: value.numpy() if isinstance(value, Tensor) else value for name, value in known.items()}
+        pictures = np.split(known.pop("pictures"), np.cumsum(known.pop("lengths"))[:-1])
+        described = Described(*(known.pop(field.name) for field in fields(Described)))
+        return FrameMap([picture.tobytes() for picture in pictures], described=described, **known)
     except FileNotFoundError:
         raise MapError(f"{file}: there is no such map") from None
-    except MapError:
-        raise
-    except Exception as error:  # whatever zip files and arrays raise when bytes are wrong
-        raise MapError(f"{file}: is no map that can be read ({type(error).__name__}: {error})") from None
-    return graph
+    except RunError as error:
+        raise MapError(f"{error}; make it anew with dirl map") from None
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, MapError):
+            raise
+        raise MapError(f"{file}: is no map of dirl ({type(error).__name__}: {error})") from None
 
 
 def check_memory(frames: int, every: float) -> None:

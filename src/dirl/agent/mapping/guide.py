@@ -130,7 +130,7 @@ class Guide:
     Example:
         ::
 
-            guide = dirl.Guide(load_frames_map("walk.npz"), [photo])
+            guide = dirl.Guide(load_frames_map("walk.pt"), [photo])
             for frame in camera:
                 print(guide.see(frame))
     """

@@ -14,15 +14,12 @@ import re
 import secrets
 import stat
 import zipfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import cache
-from math import prod
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO, get_type_hints
-
-import numpy as np
 
 from dirl.scenes.errors import SceneError
 
@@ -30,10 +27,10 @@ MOST = 64 * 2**20
 """Bytes that are read of a file. The longest table of a run has a row a step of imitation, 40 bytes each."""
 
 MOST_WEIGHTS = 4 * 2**30
-"""Of a file of tensors: a checkpoint has three times the weights, a map a few kilobytes a place."""
+"""Of a file of tensors: a checkpoint has three times the weights, a map of a recording 50 kB a frame."""
 
 FREELY_UNPACKED, MOST_RATIO = 2**28, 100
-"""Arrays of more bytes may only be so many times larger than their file: gzip packs zeros a thousand times."""
+"""What unpacks to more bytes may only be so many times larger than its file."""
 
 
 def open_regular(file: Path) -> BinaryIO:
@@ -77,40 +74,6 @@ def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: 
         return read_bytes(file, most).decode(encoding, errors)
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: is not UTF-8 text ({error}); save it as UTF-8") from None
-
-
-def read_arrays(file: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of an ``.npz`` file; the sizes that it declares are checked before any is unpacked.
-
-    Raises:
-        ValueError: it is no such file, is damaged, or would unpack to far more than it is.
-        OSError: it cannot be read.
-    """
-    try:
-        with open_regular(file) as stream, zipfile.ZipFile(stream) as archive:
-            entries, packed = archive.infolist(), os.fstat(stream.fileno()).st_size
-            if (unpacked := sum(entry.file_size for entry in entries)) > max(FREELY_UNPACKED, MOST_RATIO * packed):
-                raise ValueError(f"{packed} bytes would unpack to {unpacked}")
-            for entry in entries:
-                _check_header(archive, entry)
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as stored:
-                return dict(stored)
-    except OSError:
-        raise
-    except Exception as error:  # zipfile and numpy raise many kinds for what they cannot read
-        reason = " ".join(f"{error}".split())[:200]
-        raise ValueError(f"{file}: is no file of arrays that can be read ({reason or type(error).__name__})") from None
-
-
-def _check_header(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-    """Raise ValueError unless an array has the size that its shape says: NumPy makes room for the shape first."""
-    with archive.open(entry) as member:
-        version = np.lib.format.read_magic(member)
-        read_header = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(member)
-        if member.tell() + prod(shape) * dtype.itemsize != entry.file_size:
-            raise ValueError(f"{entry.filename} is not as large as its shape {shape}")
 
 
 def read_tensors(file: Path) -> Any:
@@ -331,12 +294,3 @@ def file_digest(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, as hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """Return a SHA-256 over arrays by their names, types, shapes and values, as hexadecimal digits."""
-    digest = hashlib.sha256()
-    for name, array in sorted(arrays.items()):
-        digest.update(f"{name} {array.dtype} {array.shape}".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
