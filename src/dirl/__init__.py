@@ -1,5 +1,6 @@
 """Target-driven visual navigation by deep imitation reinforcement learning."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,20 +15,18 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
+MODULES = {
+    "Guide": "dirl.agent.mapping.guide",
+    "Navigator": "dirl.agent.navigator",
+    "evaluate": "dirl.training.python",
+    "train": "dirl.training.python",
+}
+"""Where names are imported from when they are asked for, so that `import dirl` stays light."""
+
+
 def __getattr__(name: str) -> Any:
-    # Imported when asked for, so that `import dirl` stays light.
-    if name == "Navigator":
-        from dirl.agent.navigator import Navigator
-
-        return Navigator
-    if name in ("train", "evaluate"):
-        from dirl.training import python
-
-        return getattr(python, name)
-    if name == "Guide":
-        from dirl.agent.mapping.guide import Guide
-
-        return Guide
+    if name in MODULES:
+        return getattr(import_module(MODULES[name]), name)
     if name == "__version__":
         from importlib.metadata import version
 

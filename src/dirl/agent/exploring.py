@@ -111,7 +111,10 @@ class TurnCheck:
             self.seen = self.seen[-1:]
         self._side = action
         if turned and len(self.seen) >= quarter:
-            self.fits.append(self._fits(self.seen[-quarter], views, 1 if action == RIGHT else -1))
+            side = 1 if action == RIGHT else -1  # where what is ahead now was before
+            turned_back = torch.stack([views.roll(side + k, 0).flatten() for k in range(VIEWS)])
+            scores = normal_vectors(turned_back) @ normal_vectors(self.seen[-quarter].flatten())
+            self.fits.append(bool(scores[0] > self.keep and scores.max() <= scores[0] + self.margin))
         self.seen = [*self.seen[-quarter:], views]
         contrary = self.fits.count(False)
         if len(self.fits) >= QUARTERS and contrary > len(self.fits) / 2:
@@ -119,12 +122,6 @@ class TurnCheck:
                 f"turns={self.turns}: after {contrary} of {len(self.fits)} quarter turns the "
                 "views are not those that were aside before; give the number of turns that make a full circle"
             )
-
-    def _fits(self, before: Tensor, now: Tensor, side: int) -> bool:
-        """Return True if the view ahead was to the right (1) or to the left (-1) before, and so on around."""
-        each = torch.stack([now.roll(side + k, 0).flatten() for k in range(VIEWS)])
-        scores = normal_vectors(each) @ normal_vectors(before.flatten())
-        return bool(scores[0] > self.keep and scores.max() <= scores[0] + self.margin)
 
 
 def map_to_walk_on(

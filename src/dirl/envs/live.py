@@ -109,7 +109,9 @@ class LiveEnv(NavigationEnv):
             for pose, state, action, error, slips in zip(*(values.tolist() for values in taken), strict=True)
         ]
         pose = torch.tensor(after, dtype=torch.float64, device=self.device)
-        state = self._nearest(pose)
+        # The nearest place, and there the nearest heading.
+        away = torch.cdist(pose[:, :2], self.places[:, :2])
+        state = torch.argmin(away + 1e-6 * _turned(pose[:, None], self.places), 1)
         at = self.places[state]
         near = (torch.linalg.vector_norm(pose[:, :2] - at[:, :2], dim=1) < SNAP) & (_turned(pose, at) < SNAP)
         pose = torch.where(near[:, None], at, pose)
@@ -128,11 +130,6 @@ class LiveEnv(NavigationEnv):
             self.simulator.place(Pose(x, z, heading))
             self.simulator.push(metres)
             return Pose(*self.simulator.pose)
-
-    def _nearest(self, pose: Tensor) -> Tensor:
-        """Return the state of the nearest place, and there of the nearest heading, int64 ``[B]``."""
-        away = torch.cdist(pose[:, :2], self.places[:, :2])
-        return torch.argmin(away + 1e-6 * _turned(pose[:, None], self.places), 1)
 
     def _seen(self, pose: Tensor, goal: Tensor) -> dict[str, Tensor]:
         """Return the rows of the views at poses, float64 ``[B, 3]``, and at goals."""

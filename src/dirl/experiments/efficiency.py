@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.ticker import EngFormatter
 
 from dirl.evaluation.protocol import STABLE_ATL, WINDOW
-from dirl.experiments.figures import band, panels, save_figure
+from dirl.experiments.figures import panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
 from dirl.reporting.curves import atl_axis, common_frames
-from dirl.reporting.statistics import FloatArray, iqm
+from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
 from dirl.runs.checkpoints import Summary
 from dirl.scenes.palette import COLORS
 
@@ -109,7 +109,8 @@ def draw_efficiency(groups: Mapping[str, Sequence[Result]], out: Path, name: str
             continue
         stable = float(iqm([stable_frames(run) for run in runs]))
         when = f"stable at {stable:,.0f}" if np.isfinite(stable) else "never stable"
-        band(axes, frames, values, color, f"{label}: {when}")
+        axes.fill_between(frames, *bootstrap_interval(values), color=color, alpha=0.2, linewidth=0)
+        axes.plot(frames, iqm(values), color=color, label=f"{label}: {when}", linewidth=1.6)
         if np.isfinite(stable):
             axes.axvline(stable, color=color, linestyle=":", linewidth=1.2)
     limit = f"stable: every goal stays at or under {STABLE_ATL:g}"

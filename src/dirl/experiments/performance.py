@@ -7,8 +7,9 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from dirl.config.schemas import TrainConfig
-from dirl.experiments.figures import interval_row, panels, save_figure
+from dirl.experiments.figures import panels, save_figure
 from dirl.experiments.results import NAMES, Cell, Result, Table, by_system, published, write_tables
+from dirl.reporting.statistics import bootstrap_interval, iqm
 from dirl.runs.checkpoints import Summary
 from dirl.scenes.palette import SYSTEM_COLORS
 
@@ -79,7 +80,9 @@ def _draw(ours: Mapping[str, Mapping[str, list[float]]], paper: Summary, out: Pa
     places = np.arange(len(ours))[::-1]
     for axes, measure in zip(grid, ("atl", "sr", "spl"), strict=True):
         for place, (system, values) in zip(places, ours.items(), strict=True):
-            interval_row(axes, place, values[measure], SYSTEM_COLORS[system])
+            color, interval = SYSTEM_COLORS[system], bootstrap_interval(values[measure])
+            axes.plot(interval, [place, place], color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
+            axes.plot(iqm(values[measure]), place, "o", color=color)
             if system in paper:
                 axes.plot(paper[system][measure], place, "x", color="0.2", mew=2)
         axes.set_xlabel(MEASURES[measure][1] + (" (steps)" if measure == "atl" else ""))

@@ -76,7 +76,9 @@ def viewer_pages(
         if not (torch.equal(other.world.goals, world.goals) and torch.equal(other.world.graph, world.graph)):
             raise ValueError(f"beside={name}: is evaluated in other scenes or for other goals")
     agents = _agents(policy, protocol, beside or {})
-    starts = _starts(protocol)
+    goal_index, start = every_start(world)
+    every = 1 if protocol.memory is None else -(-len(start) // MOST_WALKS)
+    starts = goal_index[goal_index % every == 0], start[goal_index % every == 0]
     walks = [_walks(*agent, starts) for agent in agents.values()]
     logits, values = answers(policy, world, observation)
     scores = matching.scores(world)
@@ -125,14 +127,6 @@ def _agents(
     if protocol.memory is not None:
         own = {"the agent": (policy, protocol), "without memory": (policy, plain)}
     return {**own, **beside, "shortest path": (ShortestPathPolicy(protocol.world), replace(plain, stop=None))}
-
-
-def _starts(protocol: EvaluationProtocol) -> tuple[Tensor, Tensor]:
-    """Return every start of the goals that pages show."""
-    goal_index, start = every_start(protocol.world)
-    every = 1 if protocol.memory is None else -(-len(start) // MOST_WALKS)
-    chosen = goal_index % every == 0
-    return goal_index[chosen], start[chosen]
 
 
 def _walks(policy: nn.Module, protocol: EvaluationProtocol, starts: tuple[Tensor, Tensor]) -> dict[int, dict[int, str]]:

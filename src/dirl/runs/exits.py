@@ -11,13 +11,16 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 MEMORY, FILES, PIPE = 71, 74, 128 + 13
 """Exit statuses; the first two as in ``sysexits.h``."""
+
+LONGEST = 2000
+"""Characters of an error."""
 
 HINTS = {
     errno.ENOSPC: "make room on the disk",
@@ -44,17 +47,20 @@ def end_at_once(advice: bytes = b"") -> None:
     """
     for number, own in {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}.items():
         now = signal.getsignal(number)
-        if (now is own or _is_ours(now)) and threading.current_thread() is threading.main_thread():
-            signal.signal(number, partial(_end_at_once, advice))
+        if (now is own or isinstance(now, EndAtOnce)) and threading.current_thread() is threading.main_thread():
+            signal.signal(number, EndAtOnce(advice))
 
 
-def _end_at_once(advice: bytes, number: int, _: object) -> NoReturn:
-    os.write(2, (b"interrupted" if number == signal.SIGINT else b"terminated") + advice + b"\n")
-    os._exit(128 + number)
+@dataclass(frozen=True)
+class EndAtOnce:
+    """A handler of signals, see `end_at_once`."""
 
+    advice: bytes
 
-def _is_ours(handler: object) -> bool:
-    return isinstance(handler, partial) and handler.func is _end_at_once
+    def __call__(self, number: int, _: object) -> NoReturn:
+        """End the program."""
+        os.write(2, (b"interrupted" if number == signal.SIGINT else b"terminated") + self.advice + b"\n")
+        os._exit(128 + number)
 
 
 @contextlib.contextmanager
@@ -75,7 +81,7 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
         raise raised[-1]
 
     now = signal.getsignal(signal.SIGINT)
-    own = now is signal.default_int_handler or _is_ours(now)  # somebody else's handler of SIGINT stays
+    own = now is signal.default_int_handler or isinstance(now, EndAtOnce)  # somebody else's handler of SIGINT stays
     try:
         with _signals(dict.fromkeys(SIGNALS if own else SIGNALS[1:], raise_)):
             try:
@@ -86,7 +92,10 @@ def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None =
                 raise
     except ValueError as error:
         _remove_empty(folder)
-        raise SystemExit(f"error: {one_line(str(error), 2000)}") from None
+        # Without control characters, such as line breaks, and cut in the middle.
+        said = "".join(sign if sign.isprintable() else " " for sign in " ".join(str(error).split()))
+        said = said if len(said) <= LONGEST else f"{said[: LONGEST // 2]} ... {said[-LONGEST // 2 :]}"
+        raise SystemExit(f"error: {said}") from None
     except KeyboardInterrupt:
         _remove_empty(folder)
         leave("interrupted", 128 + signal.SIGINT, advice)
@@ -112,12 +121,6 @@ def _remove_empty(folder: Path | None) -> None:
     if folder is not None:
         with contextlib.suppress(OSError):
             os.removedirs(folder)
-
-
-def one_line(text: str, most: int = 300) -> str:
-    """Return a text without control characters, such as line breaks, cut in the middle if longer than ``most``."""
-    plain = "".join(sign if sign.isprintable() else " " for sign in " ".join(text.split()))
-    return plain if len(plain) <= most else f"{plain[: most // 2]} ... {plain[-most // 2 :]}"
 
 
 def leave(message: str, status: int, advice: Callable[[], str] = lambda: "") -> NoReturn:

@@ -52,8 +52,10 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
         rule = by_name.get(scene.name)
         named = _named(scene, rule)
         reached = well_reached(scene)
-        order = _order(scene, seed, named)
-        held = np.isin(places(scene.graph), order[: _count(hold_out, scene)] if hold_out else [])
+        place = places(scene.graph)
+        order = np.random.default_rng(seed).permutation(int(place.max()) + 1)
+        order = order[~np.isin(order, place[list(named)])]  # places of goals that are given are not held out
+        held = np.isin(place, order[: _count(hold_out, scene)] if hold_out else [])
         if isinstance(rule, str):
             trained[scene.name] = _states(scene, _by_rule(scene, rule, order, hold_out) & reached & ~held, f"={rule}")
         else:
@@ -87,13 +89,6 @@ def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
     for goal in states:
         scene.check_goal(goal)
     return states
-
-
-def _order(scene: Scene, seed: int, named: Sequence[int]) -> IntArray:
-    """Return the places that have no named goal, int64, in an order sampled with the seed."""
-    place = places(scene.graph)
-    drawn = np.random.default_rng(seed).permutation(int(place.max()) + 1)
-    return drawn[~np.isin(drawn, place[list(named)])]
 
 
 def _count(fraction: float, scene: Scene) -> int:

@@ -83,6 +83,7 @@ class Scene:
     toward: NDArray[np.float16] | None = None
 
     def __post_init__(self) -> None:
+        check_name(self.name, self.origin)
         given = self._array("graph", self.graph, np.integer, (None, 4))
         # The largest unsigned numbers would become -1, a blocked move.
         graph = np.minimum(given, min(np.iinfo(given.dtype).max, np.iinfo(np.int64).max)).astype(np.int64)

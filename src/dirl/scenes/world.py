@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.scenes.graph import RIGHT, shortest_distances, turns_per_circle
-from dirl.scenes.scene import Scene, SceneError, check_name
+from dirl.scenes.scene import Scene, SceneError
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,6 @@ def make_world(scenes: Sequence[Scene], goals: Goals = None) -> World:
         raise SceneError(f"the scene '{twice[0]}' is named twice")
     first = scenes[0]
     for scene in scenes:
-        check_name(scene.name, scene.origin)
         if scene.features is None:
             raise SceneError(f"{scene.origin}: has no features (dataset resnet_feature); encode its views first")
         assert first.features is not None

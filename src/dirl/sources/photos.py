@@ -21,7 +21,7 @@ from PIL import ExifTags, Image, ImageOps
 
 from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
 from dirl.scenes.io.files import atomic_path, check_choice, checked, inside, read_csv
-from dirl.scenes.scene import LARGEST, Scene, SceneError, check_name
+from dirl.scenes.scene import LARGEST, Scene, SceneError
 from dirl.scenes.views import encode, natural_order, open_photo, to_rgb
 
 TABLE = "states.csv"
@@ -93,7 +93,6 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
             places.setdefault(row.location, []).append(row)
     if not places:
         raise SceneError(f"{file}: has no rows of first shots; each says where one image was taken")
-    check_name(name, str(folder))
     count = len(next(iter(places.values())))
     for location, here in places.items():
         here.sort(key=lambda row: row.heading % 360)

@@ -258,17 +258,17 @@ def make_advantages(gamma: float | Tensor, lmbda: float | Tensor) -> Callable[[T
     With ``lmbda=1`` it is the paper's n-step return minus the value (equations 5 and 6). Tensors, ``[R, 1, 1, 1]``, are
     those of the runs of a stack, whose batches are ``[R, B, T]``.
     """
-    if isinstance(gamma, Tensor):
-        return lambda batch: _advantages_of_runs(batch, gamma, lmbda)
-    return GAE(gamma=gamma, lmbda=lmbda, value_network=None, deactivate_vmap=True)
+    if not isinstance(gamma, Tensor):
+        return GAE(gamma=gamma, lmbda=lmbda, value_network=None, deactivate_vmap=True)
 
+    def step_by_step(batch: TensorDictBase) -> TensorDictBase:
+        # The module takes one gamma, and its shapes depend on where episodes end.
+        after = batch["next"]
+        given = (batch["state_value"], after["state_value"], after["reward"], after["done"], after["terminated"])
+        advantage, target = generalized_advantage_estimate(gamma, lmbda, *given)
+        return batch.update({"advantage": advantage, "value_target": target})
 
-def _advantages_of_runs(batch: TensorDictBase, gamma: Tensor, lmbda: float | Tensor) -> TensorDictBase:
-    """Do the same step by step: the module takes one ``gamma``, and its shapes depend on where episodes end."""
-    after = batch["next"]
-    given = (batch["state_value"], after["state_value"], after["reward"], after["done"], after["terminated"])
-    advantage, target = generalized_advantage_estimate(gamma, lmbda, *given)
-    return batch.update({"advantage": advantage, "value_target": target})
+    return step_by_step
 
 
 @torch.no_grad()

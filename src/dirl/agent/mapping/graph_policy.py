@@ -180,24 +180,16 @@ def plan_table(graph: ImageGraph, visits: Tensor, goals: Tensor) -> tuple[Tensor
         Actions, int8 ``[2, g, n]``, and distances in the map, int16 likewise; -1 where no path is known.
         First for goals of four views, then for goals of one photo, the view ahead.
     """
-    here = graph.scores(visits).argmax(1)
+    here, moves = graph.scores(visits).argmax(1), torch.tensor(graph.moves)
     four, photo = graph.scores(visits[goals]), graph.scores(visits[goals, :1])
     actions = torch.empty((2, len(goals), len(visits)), dtype=torch.int8)
     distances = torch.empty(actions.shape, dtype=torch.int16)
     for kind, scores in enumerate((four, photo)):
         nodes, which = scores.argmax(1).unique(return_inverse=True)
         far = graph.plan(nodes.tolist())
-        actions[kind] = first_actions(graph, far)[here][:, which].T
+        after = torch.where((moves >= 0).unsqueeze(-1), far[moves.clamp(min=0)], -1)  # [N, actions, G]
+        nearer = (after >= 0) & (after < far.unsqueeze(1))
+        first = torch.where(nearer.any(1), nearer.int().argmax(1), -1)  # none at the goal and without a path
+        actions[kind] = first[here][:, which].T
         distances[kind] = far[here][:, which].T.to(torch.int16)
     return actions, distances
-
-
-def first_actions(graph: ImageGraph, distances: Tensor) -> Tensor:
-    """Return first actions of shortest paths from each node to each goal, int8 ``[N, G]``; -1 at it or without a path.
-
-    For the distances see `ImageGraph.plan`, int32 ``[N, G]``.
-    """
-    moves = torch.tensor(graph.moves)
-    after = torch.where((moves >= 0).unsqueeze(-1), distances[moves.clamp(min=0)], -1)  # [N, actions, G]
-    nearer = (after >= 0) & (after < distances.unsqueeze(1))
-    return torch.where(nearer.any(1), nearer.int().argmax(1), -1).to(torch.int8)

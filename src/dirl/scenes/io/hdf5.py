@@ -246,26 +246,25 @@ def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[
         "along": (states, None),
         "toward": (2, states, states),
     }
-    there = [array for array, name in STORED.items() if name in file]
-    located = {array: _locate(file, path, STORED[array], shapes[array]) for array in there}
+    located: dict[str, tuple[int, list[int], str]] = {}
+    for array, name in STORED.items():
+        if name not in file:
+            continue
+        dataset = _open_dataset(file, name, "f", shapes[array])
+        if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_VALUES:
+            raise SceneError(
+                f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
+            )
+        _check_storage(dataset)
+        offset: int | None = dataset.id.get_offset()
+        if offset is None:
+            raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
+        if offset + dataset.nbytes > path.stat().st_size:
+            raise SceneError(f"{name}: the file ends before they do; it is damaged")
+        located[array] = (offset, list(dataset.shape), dataset.dtype.str)
     if "look_patches" in located and "look_features" not in located:
         raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
     return located
-
-
-def _locate(file: h5py.File, path: Path, name: str, shape: tuple[int | None, ...]) -> tuple[int, list[int], str]:
-    dataset = _open_dataset(file, name, "f", shape)
-    if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_VALUES:
-        raise SceneError(
-            f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
-        )
-    _check_storage(dataset)
-    offset: int | None = dataset.id.get_offset()
-    if offset is None:
-        raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
-    if offset + dataset.nbytes > path.stat().st_size:
-        raise SceneError(f"{name}: the file ends before they do; it is damaged")
-    return offset, list(dataset.shape), dataset.dtype.str
 
 
 def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:

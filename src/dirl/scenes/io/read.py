@@ -46,7 +46,7 @@ import numpy as np
 
 from dirl.scenes.io.files import file_digest
 from dirl.scenes.io.hdf5 import Contents, read_contents
-from dirl.scenes.scene import Scene, SceneError, check_name
+from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import FileViews
 
 ROOMS = Path(__file__).parents[1] / "data"
@@ -98,7 +98,6 @@ def read_dumps(dumps: Sequence[Dump]) -> list[Scene]:
 def _scene(dump: Dump, contents: Contents, *, intact: bool) -> Scene:
     # A file may have any name; that of a scene stands in paths, in pictures and on command lines.
     name = dump.name or contents["name"] or re.sub(r"[^\w .,()+-]+", "_", dump.path.stem).strip("_ .,(+-") or "scene"
-    check_name(name, str(dump.path))
     views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
     mapped: dict[str, np.ndarray] = {
         array: np.memmap(dump.path, dtype, "r", offset, tuple(shape))

@@ -11,7 +11,7 @@ from PIL import Image
 from dirl.scenes.graph import ACTIONS, shortest_distances
 from dirl.scenes.io.files import atomic_path
 from dirl.scenes.io.hdf5 import check_view, write_digest
-from dirl.scenes.scene import STORED, Scene, SceneError, check_name
+from dirl.scenes.scene import STORED, Scene, SceneError
 
 MOST_WITH_DISTANCES = 5_000
 """States of a file that holds the distances of all pairs, for other programs; they are recomputed when it is read."""
@@ -44,11 +44,10 @@ def write_dump(
         patch_attributes: how the patches were made: ``extractor``, ``projection``.
 
     Raises:
-        SceneError: the scene's name is not allowed, or a view cannot be decoded.
+        SceneError: a view cannot be decoded.
         ValueError: there are not as many views as states.
     """
     path = Path(path)
-    check_name(scene.name, str(path))
     with _whole_file(path, scene) as file:
         file.attrs.update({"actions": list(ACTIONS), **(attributes or {})})
         file.create_dataset("graph", data=scene.graph.astype(np.int32), compression="gzip")
@@ -87,7 +86,6 @@ def export_icra17(scene: Scene, path: str | Path) -> None:
     Raises:
         SceneError: something that the layout requires is missing, or does not fit it.
     """
-    check_name(scene.name, str(path))
     if scene.views is None:
         raise SceneError(f"{scene.origin}: has no views (observation), which the layout icra17 requires")
     if scene.features is None:

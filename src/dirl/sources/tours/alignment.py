@@ -147,18 +147,13 @@ def _solved(ends: Integers, turns: Array, trust: Array, count: int) -> Array:
     return headings
 
 
-def _neighbours(ends: Integers, count: int) -> list[list[tuple[int, int, int]]]:
-    """Return each panorama's neighbours, the equation with each, and 1 if it is to be added, -1 if subtracted."""
+def _loop_errors(ends: Integers, turns: Array, count: int) -> Array:
+    """Return the error of the best of few short loops through each equation, degrees, float64 ``[E]``; 180 without."""
+    # The neighbours of each panorama, the equation with each, and 1 if it is to be added, -1 if subtracted.
     near: list[list[tuple[int, int, int]]] = [[] for _ in range(count)]
     for equation, (i, j) in enumerate(ends.tolist()):
         near[i].append((j, equation, 1))
         near[j].append((i, equation, -1))
-    return near
-
-
-def _loop_errors(ends: Integers, turns: Array, count: int) -> Array:
-    """Return the error of the best of few short loops through each equation, degrees, float64 ``[E]``; 180 without."""
-    near = _neighbours(ends, count)
     errors = np.full(len(ends), 180.0)
     for index, (i, j) in enumerate(ends.tolist()):
         used = {index}
