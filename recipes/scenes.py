@@ -641,7 +641,7 @@ def one_scene(name: str, source: str = "rooms") -> Scene:
     if name == "all":
         raise SceneError("scene=all: one scene at a time")
     options = group_options("source", source)
-    return load_scenes(name, source="rooms" if options is None else make("source", options))[0]
+    return load_scenes(name, source=None if options is None else make("source", options))[0]
 
 
 def chosen_encoder(options: Encoded) -> ViewEncoder | None:

@@ -6,7 +6,7 @@ from refusals import refused
 from rooms import grid_scene, published_dump
 
 from dirl.scenes import PUBLISHED_GOALS, catalogue, load_scenes, write_dump
-from dirl.scenes.catalogue import ROOMS
+from dirl.scenes.catalogue import ROOMS, Thor
 from dirl.scenes.io import read
 
 STATES = {"bathroom_02": 180, "bedroom_04": 408, "kitchen_02": 676, "living_room_08": 468}
@@ -35,12 +35,12 @@ def test_the_rooms_have_the_names_sizes_and_goals_of_the_paper_and_say_that_they
 
 
 def test_published_dumps_get_the_published_goals(folder):
-    first, second = load_scenes(["bathroom_02", "bathroom_01"], source="thor", root=folder)
+    first, second = load_scenes(["bathroom_02", "bathroom_01"], source=Thor(folder))
     assert (first.name, first.source, first.goals) == ("bathroom_02", "thor", PUBLISHED_GOALS["bathroom_02"])
     assert (second.name, second.source, second.goals) == ("bathroom_01", "thor", ())
     with h5py.File(folder / "bathroom_02.h5", "a") as file:
         file.attrs["goals"] = [3]
-    assert load_scenes("bathroom_02", source="thor", root=str(folder))[0].goals == (3,)
+    assert load_scenes("bathroom_02", source=Thor(str(folder)))[0].goals == (3,)
 
 
 def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
@@ -60,11 +60,10 @@ def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
         refused("SHA256SUMS: is not the list of hashes that was installed", load_scenes, "bathroom_02")
 
 
-def test_a_source_has_choices_and_a_folder_of_its_own(folder):
-    refused(r"^there is no source 'habitat'; choose one of \['rooms', 'thor'\]", load_scenes, "all", source="habitat")
-    refused(r"choose from bathroom_01, bathroom_02, all", load_scenes, "kitchen_02", source="thor", root=folder)
-    refused("nowhere: there is no such folder", load_scenes, "all", source="thor", root=folder / "nowhere")
-    refused(r"^source=thor needs the folder of your dumps: source\.root=", load_scenes, "all", source="thor")
+def test_published_dumps_have_a_folder_of_their_own(folder):
+    refused(r"choose from bathroom_01, bathroom_02, all", load_scenes, "kitchen_02", source=Thor(folder))
+    refused("nowhere: there is no such folder", load_scenes, "all", source=Thor(folder / "nowhere"))
+    refused(r"^source=thor needs the folder of your dumps: source\.root=", load_scenes, "all", source=Thor())
 
 
 @pytest.fixture

@@ -38,8 +38,6 @@ class Task:
 
     Args:
         scene: a built-in room (``bathroom_02``), or the path of a dump file (``.h5``).
-        source: ``rooms`` for the built-in rooms, ``thor`` for the published dumps, see `dirl.scenes.load_scenes`.
-        root: the folder of the published dumps.
         goal: a state of the scene; if None, each reset draws one of the scene's own goals.
         observation: ``features``, ``views`` or ``both``.
         reward: of a step.
@@ -54,8 +52,6 @@ class Task:
     def __init__(
         self,
         scene: str,
-        source: str = "rooms",
-        root: str | Path | None = None,
         goal: int | None = None,
         observation: str = "features",
         reward: Reward | None = None,
@@ -69,7 +65,7 @@ class Task:
         if scene == "all":
             raise SceneError(f"scene={scene!r}: this environment holds one scene; name one, e.g. scene='bathroom_02'")
         self.observed = OBSERVED[observation]
-        (self.scene,) = load_scenes(str(scene), source=source, root=root)
+        (self.scene,) = load_scenes(str(scene))
         if "views" in self.observed and self.scene.views is None:
             raise SceneError(f"{self.scene.origin}: has no views; choose observation='features'")
         if self.scene.features is None and "features" not in self.observed:  # a world has features, needed or not
@@ -168,7 +164,7 @@ class NavigationGym(gymnasium.Env[Observation, np.int64]):
     Args:
         scene: a built-in room, or the path of a dump file.
         render_mode: ``rgb_array``: `render` returns the view, the goal's view and the map side by side; or None.
-        task: the further arguments of `Task`: source, root, goal, observation, reward.
+        task: the further arguments of `Task`: goal, observation, reward, goal_view.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012  as Gymnasium declares it

@@ -154,8 +154,23 @@ def latest_checkpoint(folder: Path, check: Callable[[Path, State], None] = lambd
 
 
 def read_checkpoint(file: Path) -> State:
-    """Read a checkpoint file; `RunError` if it is damaged, or of another version of dirl."""
-    return check_entries(read_archive(file), file)
+    """Read a checkpoint file. It says of its weights what every one says; they are loaded strictly.
+
+    Raises:
+        RunError: it is damaged, is no checkpoint, or another version of dirl wrote it.
+    """
+    stored = read_archive(file)
+    held: State = dict(stored) if isinstance(stored, dict) else {}
+    if "network" not in held:
+        raise RunError(f"{file}: is no checkpoint of dirl: it has no network")
+    if held.get("schema") != SCHEMA:
+        raise RunError(f"{file}: was written by another version of dirl (schema {held.get('schema')}, not {SCHEMA})")
+    names = [field.name for field in fields(Stated)]
+    try:
+        checked({name: held[name] for name in names if name in held}, Stated)
+    except SceneError as error:
+        raise RunError(f"{file}: is no checkpoint of dirl: {error}") from None
+    return held
 
 
 def read_archive(file: Path) -> Any:
@@ -174,25 +189,6 @@ def read_archive(file: Path) -> Any:
     except Exception as error:  # zipfile and torch raise many kinds for what they cannot read
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise RunError(f"{file}: is no checkpoint of dirl ({reason})") from None
-
-
-def check_entries(state: object, file: Path) -> State:
-    """Return the content of a checkpoint if it says of its weights what every one says; they are loaded strictly.
-
-    Raises:
-        RunError: it does not, or a newer version wrote it.
-    """
-    held: State = dict(state) if isinstance(state, dict) else {}
-    if "network" not in held:
-        raise RunError(f"{file}: is no checkpoint of dirl: it has no network")
-    if held.get("schema") != SCHEMA:
-        raise RunError(f"{file}: was written by another version of dirl (schema {held.get('schema')}, not {SCHEMA})")
-    names = [field.name for field in fields(Stated)]
-    try:
-        checked({name: held[name] for name in names if name in held}, Stated)
-    except SceneError as error:
-        raise RunError(f"{file}: is no checkpoint of dirl: {error}") from None
-    return held
 
 
 @contextmanager

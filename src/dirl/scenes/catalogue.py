@@ -91,8 +91,7 @@ class Thor(Rooms):
 def load_scenes(
     scene: str | Sequence[str],
     *,
-    source: str | SceneSource = "rooms",
-    root: str | Path | None = None,
+    source: SceneSource | None = None,
     split: str | None = None,
     rooms: int | None = None,
 ) -> list[Scene]:
@@ -101,9 +100,8 @@ def load_scenes(
     Args:
         scene: a name, several names, ``all`` (the four of the paper), paths of dump files, or ``collection:`` and the
             folder of a collection.
-        source: ``rooms`` for the built-in rooms, ``thor`` for the published dumps a user owns, or a source of one's
-            own, which is asked for all names that are no files.
-        root: the folder of the published dumps, one ``<name>.h5`` a scene; required for ``thor``.
+        source: `Thor` for the published dumps a user owns, or a source of one's own, which is asked for all names that
+            are no files; the built-in rooms if left out.
         split: of a collection's rooms; all if left out.
         rooms: the first so many of them; all if left out.
 
@@ -114,13 +112,9 @@ def load_scenes(
         return read_dumps([Dump(path) for path in collection_files(folder, split)[:rooms]])
     if split is not None or rooms is not None:
         raise SceneError("split and rooms choose among the rooms of a collection: scene=collection:<folder>")
-    if isinstance(source, str) and source not in ("rooms", "thor"):
-        raise SceneError(f"there is no source '{source}'; choose one of ['rooms', 'thor']")
-    if isinstance(source, str):
-        source = Rooms() if source == "rooms" else Thor(None if root is None else str(root))
     names = [scene] if isinstance(scene, str) else list(scene)
-    if isinstance(source, Rooms):
-        return source.load(names)
+    if source is None or isinstance(source, Rooms):
+        return (source or Rooms()).load(names)
     own = [name for name in names if not _is_file(name)]
     files = Rooms().load([name for name in names if _is_file(name)]) if len(own) < len(names) else []
     return files + (_own_scenes(source, own) if own or not names else [])

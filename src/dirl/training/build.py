@@ -327,7 +327,7 @@ def load_trained(
     trust: Collection[str] = (),
     world: World | None = None,
 ) -> Trained:
-    """Return the policy of a checkpoint, in the world of its configuration.
+    """Return the policy of a checkpoint in evaluation mode, and the world of its configuration.
 
     Args:
         saved: see `dirl.runs.checkpoints.load_checkpoint`.
@@ -337,7 +337,8 @@ def load_trained(
         world: the same as it was made before; it is read if left out.
 
     Raises:
-        ConfigError: the configuration, or what it makes, cannot be used; or the weights do not fit.
+        ConfigError: the configuration, or what it makes, cannot be used; the scenes' features are of another extractor;
+            or the weights do not fit.
         SceneError: a scene or goal that does not exist or cannot be used.
     """
     config = saved_config(saved, origin, changes, trust)
@@ -348,8 +349,17 @@ def load_trained(
     if changes and changes.get("seed") is not None:
         config = replace(config, seed=changes["seed"])
     observation = build_observation(config, world)
-    policy = trained_policy(saved, origin, config, world, observation)
-    return Trained(config, policy, build_protocol(config, world, observation, held_out))
+    check_extractor(saved, world.scenes[0].extractor, origin)
+    names = world.names
+    if not set(names) <= set(saved["scenes"]) and len(names) == len(saved["scenes"]):
+        names = saved["scenes"]  # its heads serve as many others, in order
+    table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
+    policy = build_policy(config, table, names, world=world, views=views)
+    load_weights(policy, saved["network"], origin, names)
+    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
+        surrounding, front = _seen_of_each(observation, front=False)
+        policy.cache(surrounding, views=views, front=front)
+    return Trained(config, policy.eval(), build_protocol(config, world, observation, held_out))
 
 
 def saved_config(saved: State, origin: str, changes: Mapping[str, Any] | None, trust: Collection[str]) -> TrainConfig:
@@ -430,27 +440,6 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
     if observation.history or not complete or (fronts and bool((seen == len(every)).any())):
         return None, fronts
     return seen, fronts
-
-
-def trained_policy(
-    saved: State, origin: str, config: TrainConfig, world: World, observation: SurroundingViews
-) -> ActorCritic:
-    """Return the policy of a checkpoint in evaluation mode, see `load_trained`, with its world's or other goals.
-
-    Raises:
-        ConfigError: the scenes' features are of another extractor, or the weights do not fit the configuration.
-    """
-    check_extractor(saved, world.scenes[0].extractor, origin)
-    names = world.names
-    if not set(names) <= set(saved["scenes"]) and len(names) == len(saved["scenes"]):
-        names = saved["scenes"]  # its heads serve as many others, in order
-    table, views = feature_table(config, world, saved["network"], origin), len(observation.order)
-    policy: ActorCritic = build_policy(config, table, names, world=world, views=views)
-    load_weights(policy, saved["network"], origin, names)
-    if config.network.cache == Cache.auto and hasattr(policy, "cache"):
-        surrounding, front = _seen_of_each(observation, front=False)
-        policy.cache(surrounding, views=views, front=front)
-    return policy.eval()
 
 
 def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, State]:

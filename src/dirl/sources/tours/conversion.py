@@ -113,16 +113,10 @@ def tour_scene(tour: Tour, *, headings: int = 8, name: str | None = None, compar
         known = sum(panorama.position is not None for panorama in tour.panoramas)
         so = f"known of {known} of {len(places)} panoramas only, so they are not used" if known else "not known"
         notes.append(f"positions are {so}: the map is a layout in which each link is {STEP:g} m long")
-    return Converted(scene, wrap(facing - middles[:, None]), _arrows(tour, graph), notes, layout)
-
-
-def _arrows(tour: Tour, graph: IntArray) -> Array:
-    """Return where the arrow is that a move ahead follows, see `Converted`."""
-    yaws, headings = tour.yaws(), len(graph) // len(tour.panoramas)
-    arrows = np.full(len(graph), np.nan)
+    links, arrows = tour.yaws(), np.full(len(graph), np.nan)
     for state in np.flatnonzero(graph[:, AHEAD] >= 0).tolist():
-        arrows[state] = yaws[state // headings, int(graph[state, AHEAD]) // headings]
-    return arrows.reshape(-1, headings)
+        arrows[state] = links[state // headings, int(graph[state, AHEAD]) // headings]
+    return Converted(scene, wrap(facing - middles[:, None]), arrows.reshape(-1, headings), notes, layout)
 
 
 def _directions(tour: Tour, aligned: Alignment, turn: float) -> tuple[Array, Array]:
