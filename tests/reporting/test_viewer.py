@@ -1,6 +1,7 @@
 """The viewer's pages: what they hold, and in headless Chromium what they do."""
 
 import base64
+import copy
 import json
 import re
 from dataclasses import replace
@@ -128,8 +129,9 @@ def test_raw_views_are_encoded_and_a_room_without_views_has_none(dump):
 def test_a_scenes_name_can_neither_leave_its_script_nor_the_folder(tmp_path):
     name = "</script><img src=x>/../é"
     room = small_room(tmp_path)
-    named = replace(room.world, scenes=(replace(room.world.scenes[0], name=name),))  # no file may hold it
-    room.protocol = replace(room.protocol, world=named)
+    scene = copy.copy(room.world.scenes[0])
+    object.__setattr__(scene, "name", name)  # no scene may have it
+    room.protocol = replace(room.protocol, world=replace(room.world, scenes=(scene,)))
     ((file, page),) = pages_of(room).items()
     assert "/" not in file
     assert "<img" not in page
