@@ -94,23 +94,6 @@ def test_a_goal_that_was_seen_is_walked_to_and_not_where_the_agent_did_not_stop(
     assert memory.arrive(walked, at(walked, 1), LIKES_ROOM, seen).goal.tolist() == [[False, False, True] + 5 * [False]]
 
 
-def test_agents_are_planned_for_one_by_one():
-    memory = PlanningMemory()
-    walks = [((AHEAD, None), (BACK, 0)), ((RIGHT, 1), (AHEAD, None)), ((AHEAD, 0), (AHEAD, 0))]
-    alone = [walk(memory, *steps) for steps in walks]
-    together = memory.begin(QUARTERS.repeat(3))
-    empty = torch.zeros(3, 0, dtype=torch.bool)
-    together = memory.arrive(together, empty, LIKES_ROOM.expand(3, -1, -1), NOWHERE.expand(3, -1))
-    for step in range(2):
-        together.action = torch.tensor([steps[step][0] for steps in walks])
-        same = torch.cat([at(together, steps[step][1]) for steps in walks])
-        together = memory.arrive(together, same, LIKES_ROOM.expand(3, -1, -1), NOWHERE.expand(3, -1))
-    expected = torch.cat([memory.plan(one) for one in alone])
-    assert torch.allclose(memory.plan(together), expected)
-    kept = together.select(torch.tensor([True, False, True]))
-    assert torch.equal(memory.plan(kept), memory.plan(together)[[0, 2]])
-
-
 def test_where_all_was_tried_the_policy_decides():
     memory = PlanningMemory()
     walked = walk(memory)
