@@ -40,11 +40,11 @@ SMALL = (
 )
 """Within a training from Python."""
 
-QUICK = [option for option in TINY if not option.startswith("evaluation.max_steps")]
-QUICK = [option for option in QUICK if not option.startswith(("imitation.max_steps", "reinforcement.frames"))]
-QUICK += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
-QUICK += ["evaluation.starts=sampled", "evaluation.episodes_per_goal=4"]
-QUICK = {"recipes/train.py": QUICK, "recipes/evaluate.py": ["starts=sampled", "episodes_per_goal=1"]}
+OTHERWISE = ("imitation.max_steps", "reinforcement.frames", "evaluation.max_steps")
+TRAINING = [option for option in TINY if not option.startswith(OTHERWISE)]
+TRAINING += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
+TRAINING += ["evaluation.starts=sampled", "evaluation.episodes_per_goal=4"]
+QUICK = {"recipes/train.py": TRAINING, "recipes/evaluate.py": ["starts=sampled", "episodes_per_goal=1"]}
 """Behind every training and evaluation of a page, but for the options that it gives itself."""
 
 SHORTER = {

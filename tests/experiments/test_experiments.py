@@ -6,16 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from commands import (
-    TINY,
-    done,
-    have_the_same_weights,
-    room_file,
-    rows_of,
-    run_recipe,
-    summary_of,
-    train_config,
-)
+from commands import TINY, done, have_the_same_weights, room_file, rows_of, run_recipe, summary_of, train_config
 from refusals import refused
 from report import Options, chosen
 from rooms import grid_scene
