@@ -24,11 +24,6 @@ from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes import Action, make_world
 
 
-def answer(policy, world, observation, state, goal_index):
-    """What a policy writes at the start of episodes."""
-    return policy(observe(world, observation, state, observation.reset_view_ids(state), goal_index))
-
-
 def load(folder, world, **options):
     return Navigator.load(folder, look_up(world), extractor="random", **options)
 
@@ -43,14 +38,6 @@ def run(tmp_path_factory, world):
     """The folder of a run with surrounding views."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     trained(folder, world)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def sequential(tmp_path_factory, world):
-    """The folder of a run with one camera."""
-    folder = tmp_path_factory.mktemp("runs") / "sequential"
-    trained(folder, world, "observation=sequential")
     return folder
 
 
@@ -321,11 +308,12 @@ def test_images_of_another_shape_or_type_are_refused(world, navigator):
         refused(found, navigator.reset, wrong)
 
 
-def test_agents_and_goals_must_be_as_many(sequential, world, navigator):
+def test_agents_and_goals_must_be_as_many(tmp_path, world, navigator):
     refused("call reset", navigator.act, images_of(world.surrounding[0]))
     navigator.reset(images_of(world.surrounding[[0, 13]]))
     refused("3 agents for 2 goals", navigator.act, images_of(world.surrounding[[1, 2, 3]]))
-    remembering = load(sequential, world)
+    trained(tmp_path, world, "observation=sequential")
+    remembering = load(tmp_path, world)
     remembering.reset(images_of(0))
     remembering.act(images_of([1, 2, 3]))
     refused("2 agents after those of 3", remembering.act, images_of([1, 2]))
@@ -368,7 +356,7 @@ def test_an_exported_policy_answers_as_the_navigator_does(tmp_path, capfd):
         features = {"features": world.features[seen].numpy(), "goal_features": world.features[wanted].numpy()}
         logits, value, matching = session.run(["logits", "value", "matching"], features)
         with torch.no_grad():
-            expected = answer(policy, world, looks, states, goal_index)
+            expected = policy(observe(world, looks, states, seen, goal_index))
         np.testing.assert_allclose(logits, expected["logits"], rtol=0, atol=1e-5)
         np.testing.assert_allclose(value, expected["state_value"], rtol=0, atol=1e-5)
         scores = TemplateStop().scores(world)

@@ -4,7 +4,7 @@ from itertools import pairwise, permutations
 import pytest
 import torch
 from networks import make_policy
-from policies import BACK, COUNTED, RIGHT, Asked, always, expert, from_states, only_goals, outcome, run_episodes
+from policies import BACK, COUNTED, RIGHT, Asked, always, expert, outcome, run_episodes
 from rooms import grid_scene
 from torchrl.envs import TransformedEnv
 
@@ -54,7 +54,8 @@ def test_the_expert_takes_a_shortest_path_from_everywhere(world, kind, greedy):
 @BOTH
 def test_failures_count_as_the_limit(world, kind):
     # Who only turns right comes from 3 to goal 0 in one step, from 2 in two, from 1 in three, else never.
-    episodes = run_episodes(always(RIGHT), world, from_states(0, *range(1, 24)), observation=kind(world), max_steps=10)
+    starts = torch.zeros(23, dtype=torch.int64), torch.arange(1, 24)
+    episodes = run_episodes(always(RIGHT), world, starts, observation=kind(world), max_steps=10)
     assert episodes.steps.tolist() == [3, 2, 1] + [10] * 20
     assert episodes.success.tolist() == [True] * 3 + [False] * 20
     found = metrics(episodes)
@@ -68,7 +69,7 @@ def test_failures_count_as_the_limit(world, kind):
 def test_sampled_actions_follow_the_policys_probabilities(world):
     # One step from 3: the goal by a right turn only.
     logits = torch.tensor([0.2, 0.5, 0.2, 0.1]).log()
-    starts = from_states(0, *[3] * 20_000)
+    starts = torch.zeros(20_000, dtype=torch.int64), torch.full((20_000,), 3)
     for policy, share in ((Asked(lambda rows: logits.expand(len(rows), 4)), 0.5), (RandomPolicy(), 0.25)):
         for kind in KINDS:
             episodes = run_episodes(policy, world, starts, observation=kind(world), max_steps=1, greedy=False)
@@ -122,7 +123,7 @@ class Advised(torch.nn.Module):
 def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, seed, memory):
     policy = Advised(world, make_policy(world.features, world.names, width=16, seed=seed, memory=memory))
     assert len(recurrent_keys(policy)) == memory
-    stop = only_goals(world) & (world.pairs()[0] != 1)
+    stop = (world.distances == 0) & (world.pairs()[0] != 1)
     stop |= (torch.rand(stop.shape, generator=torch.Generator().manual_seed(seed)) < 0.05) & (world.distances >= 0)
     starts = every_start(world)
     episodes = run_episodes(policy, world, starts, observation=kind(world), stop=stop, max_steps=30)

@@ -24,18 +24,10 @@ from dirl.training.build import load_trained
 
 SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.fraction="))]
 
-EXPERIMENTS = ("table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8")
-
 
 def summaries(folder):
     """The summary of every run of a grid, by the name of its folder."""
     return {file.parent.name: summary_of(file.parent) for file in folder.glob("runs/experiments/*/*/summary.json")}
-
-
-def add_room(folder, seed, **scene):
-    """Add a room to a collection, of the split of its seed."""
-    file = folder / f"bathroom_{seed}.h5"
-    write_dump(file, grid_scene(name=file.stem, goals=(0,), patches=True, seed=seed, **scene))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +46,7 @@ def test_experiments_share_runs_and_what_is_finished_is_not_made_again(grid):
     assert set(summaries(grid)) == {f"{kind}_{seed}" for kind in kinds for seed in (0, 1)}
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("experiment", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8"])
 def test_a_report_has_tables_figures_and_the_papers_numbers(grid, experiment):
     printed = done(grid, "report", f"experiment={experiment}", "scene=grid", "goal=7", "starts=5", f"out={experiment}")
     text = (grid / experiment / "README.md").read_text()
@@ -188,8 +180,9 @@ def test_dirl_with_compared_goals_is_shown_the_way_to_other_goals_than_its_own(t
 
 def test_some_rooms_of_a_collection_are_trained_on_and_others_tested(tmp_path):
     (tmp_path / "rooms").mkdir()
-    for seed in (30000, 30001, 10000):
-        add_room(tmp_path / "rooms", seed, feature_width=32)
+    for seed in (30000, 30001, 10000):  # by which they are of a split
+        room = grid_scene(name=f"bathroom_{seed}", goals=(0,), patches=True, seed=seed, feature_width=32)
+        write_dump(tmp_path / "rooms" / f"{room.name}.h5", room)
     options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32", "rooms=2"]
     options += ["imitation.batch_size=64", "imitation.max_steps=5", "seed=0"]
     done(tmp_path, "train", "-m", "experiment=unseen_rooms", *options)

@@ -54,10 +54,3 @@ def gradients(module, output):
     weights = torch.linspace(-1, 1, output.numel()).view_as(output)
     (output * weights).sum().backward()
     return [parameter.grad for parameter in module.parameters()]
-
-
-def embedded_rows(encoder):
-    """A list that takes down how many rows each call of the embedding layer gets."""
-    calls = []
-    encoder.embedding.register_forward_hook(lambda module, inputs, output: calls.append(len(inputs[0])))
-    return calls

@@ -52,17 +52,5 @@ def indifferent():
     return Asked(lambda rows: torch.zeros(len(rows), 4))
 
 
-def only_goals(world):
-    return world.distances == 0
-
-
-def pair(world, goal_index, state):
-    return world.pair(torch.tensor(goal_index), torch.tensor(state))
-
-
-def from_states(goal_index, *states):
-    return torch.full((len(states),), goal_index), torch.tensor(states)
-
-
 def outcome(episodes):
     return {key: getattr(episodes, key).tolist() for key in COUNTED}

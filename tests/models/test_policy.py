@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from networks import SCENES, SURROUNDING, batch_of, embedded_rows, make_policy, seen, standardised_policy
+from networks import SCENES, SURROUNDING, batch_of, make_policy, seen, standardised_policy
 from torch import nn
 from torchrl.modules import set_recurrent_mode
 
@@ -24,7 +24,8 @@ def test_torchrls_operators_compute_what_the_network_computes(policy, cached):
     expected = policy(given.copy())
     if cached:
         policy.cache(SURROUNDING)
-    calls = embedded_rows(policy.encoder)
+    calls = []
+    policy.encoder.embedding.register_forward_hook(lambda *_: calls.append(1))
     out = policy.operator()(given)
     for key in ("logits", "state_value"):
         torch.testing.assert_close(out[key], expected[key])
@@ -41,14 +42,6 @@ def test_its_plain_weights_are_those_without_what_makes_it_fast(policy):
     torch.testing.assert_close(found, expected)
 
 
-@pytest.fixture
-def remembering():
-    """A policy with a memory, cached."""
-    made = standardised_policy(memory=True)
-    made.cache(SURROUNDING)
-    return made
-
-
 def walked(policy, steps, begins):
     """Step by step: what a policy with memory writes for ``[B, T]``, and the batch as a rollout would hold it."""
     batch, outputs = [], []
@@ -63,7 +56,9 @@ def walked(policy, steps, begins):
     return torch.stack(batch, 1), torch.stack(outputs, 1)
 
 
-def test_a_memory_makes_of_whole_episodes_what_it_makes_step_by_step(remembering):
+def test_a_memory_makes_of_whole_episodes_what_it_makes_step_by_step():
+    remembering = standardised_policy(memory=True)
+    remembering.cache(SURROUNDING)
     begins = torch.zeros(6, 9, dtype=torch.bool)
     begins[:, 0] = True
     begins[1, 4] = begins[3, 1] = begins[3, 2] = begins[5, 8] = True

@@ -33,16 +33,9 @@ ANY_GOAL += ["encoder.comparison=16", "heads.width=32", "imitation.batch_size=64
 ANY_GOAL += ["evaluation.max_steps=30", "evaluation.goals=3"]
 
 
-@pytest.fixture(scope="module")
-def any_goal(tmp_path_factory):
-    """A folder with a room with patches and a run that was trained for any goal of it."""
-    folder = tmp_path_factory.mktemp("any_goal")
-    printed = done(folder, "train", *ANY_GOAL, f"scene={room_file(folder, patches=True)}", "hydra.run.dir=run")
+def test_goal_view_and_memory_are_chosen_at_evaluation(tmp_path):
+    printed = done(tmp_path, "train", *ANY_GOAL, f"scene={room_file(tmp_path, patches=True)}", "hydra.run.dir=run")
     assert "Goals held out of the training:" in printed
-    return folder
-
-
-def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
     found = {}
     for name, options in {
         "four": [],
@@ -50,13 +43,12 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(any_goal):
         "alone": ["episodic_memory=none"],
         "named": ["goals=[0,1,5,7,13]"],
     }.items():
-        asked = [f"checkpoint={any_goal / 'run'}", f"out={any_goal / name}.json", *options]
-        done(any_goal, "evaluate", *asked)
-        result = json.loads((any_goal / f"{name}.json").read_text())["greedy"]
+        done(tmp_path, "evaluate", "checkpoint=run", f"out={name}.json", *options)
+        result = json.loads((tmp_path / f"{name}.json").read_text())["greedy"]
         found[name] = result["atl"]
     goals = {int(goal) for goal in result["scenes"]["grid"]["goals"]}
     assert goals == {0, 1, 5, 7, 13}  # of those that are named all count, though the run drew three
-    summary = summary_of(any_goal / "run")
+    summary = summary_of(tmp_path / "run")
     assert found["four"] == summary["greedy"]["atl"]
     assert len(set(found.values())) == 4
 

@@ -172,7 +172,6 @@ HEADINGS = {
     "evaluation": "frames,atl,sr,spl",
     "imitation": "step,loss,accuracy",
 }
-NEVER = {"stable_at_frame": None}
 
 
 @pytest.fixture
@@ -217,7 +216,7 @@ def test_a_curve_shows_training_and_evaluation_and_where_the_policy_is_stable(ru
 
 
 def test_a_curve_of_imitation_alone_shows_its_loss_and_accuracy(run):
-    upper, lower = run({"frames": 0, **NEVER}, imitation=IMITATION, evaluation=EVALUATION[:1]).axes
+    upper, lower = run({"frames": 0, "stable_at_frame": None}, imitation=IMITATION, evaluation=EVALUATION[:1]).axes
     assert (upper.get_ylabel(), lower.get_ylabel()) == ("loss", "accuracy")
     assert list(lines(upper).values()) == [[[1, 2, 3], [1.39, 0.8, 0.1]]]
     assert list(lines(lower).values()) == [[[1, 2, 3], [0.15, 0.75, 1]]]

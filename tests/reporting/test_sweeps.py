@@ -24,12 +24,6 @@ def test_the_spread_is_that_of_the_values_and_runs_that_never_were_stable_are_co
     assert seed_table([summary(0, 0.9, None)]).splitlines()[-1].startswith("| stable at | 0 of 1 | - |")
 
 
-def swept(folder, *names):
-    """What Hydra hands the callback at the end of a sweep over these options."""
-    overrides = {"task": [f"{name}=1,2" for name in names]}
-    return OmegaConf.create({"hydra": {"sweep": {"dir": str(folder)}, "overrides": overrides, "sweeper": {}}})
-
-
 @pytest.mark.parametrize("other", [{}, {"optimiser": {"lr": 0.1}}])
 def test_a_sweep_is_a_table_and_one_over_seeds_alone_is_told(other, tmp_path, capsys):
     for run in RUNS:
@@ -38,7 +32,9 @@ def test_a_sweep_is_a_table_and_one_over_seeds_alone_is_told(other, tmp_path, ca
         (folder / "summary.json").write_text(json.dumps(run))
         config = {"seed": run["seed"], "optimiser": {"lr": 0.001}} | (other if run["seed"] == 3 else {})
         (folder / "config.yaml").write_text(yaml.safe_dump(config))
-    SweepTable().on_multirun_end(swept(tmp_path, "seed", "optimiser.lr"))
+    overrides = {"task": ["seed=1,2", "optimiser.lr=1,2"]}
+    swept = {"hydra": {"sweep": {"dir": str(tmp_path)}, "overrides": overrides, "sweeper": {}}}
+    SweepTable().on_multirun_end(OmegaConf.create(swept))
     printed = capsys.readouterr().out
     assert ("| 1: lr=0.001, seed=1 " if other else "| 1: seed=1 ") in printed
     assert ("Over the seeds" in printed) is not bool(other)

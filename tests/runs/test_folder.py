@@ -14,15 +14,13 @@ from dirl.runs.checkpoints import RunError, is_finished, load_checkpoint, save_c
 from dirl.runs.folder import Run, open_run
 from dirl.scenes import make_world
 
-ORDER = ["ahead", "right", "back", "left"]
-
 
 def config(*options):
     return train_config("checkpoint.every_seconds=0", "checkpoint.keep=2", *options)
 
 
 def begin(run):
-    run.begin(make_world([grid_scene()]), ORDER)
+    run.begin(make_world([grid_scene()]), ["ahead", "right", "back", "left"])
     return run
 
 

@@ -12,11 +12,6 @@ from dirl.scenes.io import read
 STATES = {"bathroom_02": 180, "bedroom_04": 408, "kitchen_02": 676, "living_room_08": 468}
 
 
-@pytest.fixture(scope="module")
-def rooms():
-    return load_scenes("all")
-
-
 @pytest.fixture
 def folder(tmp_path):
     """Published dumps of a user: two scenes with 120 states each."""
@@ -25,7 +20,8 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_the_rooms_have_the_names_sizes_and_goals_of_the_paper_and_say_that_they_are_built_in(rooms):
+def test_the_rooms_have_the_names_sizes_and_goals_of_the_paper_and_say_that_they_are_built_in():
+    rooms = load_scenes("all")
     assert {room.name: len(room) for room in rooms} == STATES
     assert {room.name: room.goals for room in rooms} == dict(PUBLISHED_GOALS)
     assert {room.source for room in rooms} == {"rooms"}
@@ -66,18 +62,12 @@ def test_published_dumps_have_a_folder_of_their_own(folder):
     refused(r"^source=thor needs the folder of your dumps: source\.root=", load_scenes, "all", source=Thor())
 
 
-@pytest.fixture
-def collection(tmp_path):
-    """Four rooms, and what else a folder may hold."""
+def test_rooms_are_read_by_seed_and_split_whatever_else_the_folder_holds(tmp_path):
     collection = tmp_path / "many"
     for name in ("bedroom_30001", "bathroom_30000", "living_room_10000", "bedroom_9"):
         write_dump(collection / f"{name}.h5", grid_scene(name=name, depth=2 + (name == "bedroom_9")))
     (collection / "living_room_10000.toml").write_text("name = 'living_room_10000'")
     (collection / ".unfinished-1.h5").write_text("half a dump")
-    return collection
-
-
-def test_rooms_are_read_by_seed_and_split(collection):
     rooms = load_scenes(f"collection:{collection}")
     assert [room.name for room in rooms] == ["bedroom_9", "living_room_10000", "bathroom_30000", "bedroom_30001"]
     assert [len(room) for room in rooms] == [36, 24, 24, 24]

@@ -149,15 +149,11 @@ def demonstrations():
     )
 
 
-def logits_of(network, batch):
-    return network(batch.copy())["logits"]
-
-
 @pytest.mark.parametrize("reduction", [{}, {"reduction": "sum"}, {"reduction": "none"}])
 def test_imitation_is_cross_entropy(network, demonstrations, reduction):
     loss = ImitationLoss(network.operator().get_policy_operator(), **reduction)
     found = loss(demonstrations)["loss_imitation"]
-    expected = F.cross_entropy(logits_of(network, demonstrations), demonstrations["expert_action"], **reduction)
+    expected = F.cross_entropy(network(demonstrations.copy())["logits"], demonstrations["expert_action"], **reduction)
     torch.testing.assert_close(found, expected)
     torch.testing.assert_close(gradients(network, found.sum()), gradients(network, expected.sum()))
 
@@ -167,7 +163,7 @@ def test_any_optimal_action_is_right(network, demonstrations):
     optimal[torch.arange(ROWS), demonstrations["expert_action"]] = True
     batch = network.trunk()(demonstrations.copy()).set("optimal_actions", optimal)
     result = OptimalActionsLoss(network.operator().get_policy_head())(batch)
-    logits = logits_of(network, demonstrations)
+    logits = network(demonstrations.copy())["logits"]
     chance = (logits.softmax(-1) * optimal).sum(-1)
     torch.testing.assert_close(result["loss_imitation"], -chance.log().mean())
     right = optimal[torch.arange(ROWS), logits.argmax(-1)]

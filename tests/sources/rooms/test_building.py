@@ -10,13 +10,8 @@ from dirl.sources.tours.alignment import wrap
 from dirl.sources.tours.conversion import tour_scene
 
 
-@pytest.fixture(scope="module")
-def building():
-    """Two closets side by side."""
-    return Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
-
-
-def test_the_tour_of_a_building_reads_back(building, tmp_path):
+def test_the_tour_of_a_building_reads_back(tmp_path):
+    building = Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
     found = write_building_tour(building, tmp_path / "tour", apart=0.8, size=(16, 32))
     assert found.places[0].tolist() == pytest.approx([2.0 + WALL / 2, 0.6])
     far = np.linalg.norm(found.places[:, None] - found.places, axis=-1)[~np.eye(len(found.places), dtype=bool)]

@@ -69,18 +69,13 @@ def test_no_other_link_lies_behind_who_came_by_a_link_one_way():
     assert graph[came, BACK] == -1
 
 
-def star(angles):
-    """A hall whose doors are at these angles; behind each is a room with a door back."""
-    truth = grid_truth(len(angles) + 1, 1)
-    return replace(
-        truth, links=[(0, i, a) for i, a in enumerate(angles, 1)] + [(i, 0, a + 180) for i, a in enumerate(angles, 1)]
-    )
-
-
 @given(st.lists(st.floats(0, 359), min_size=1, max_size=12))
 @settings(max_examples=60, deadline=None)
 def test_the_rooms_that_a_crowded_hall_shows_and_those_that_it_hides_are_all_of_them(angles):
-    made = tour_scene(tour_of(star(angles)), headings=8)
+    """In a hall whose doors are at these angles; behind each is a room with a door back."""
+    doors = list(enumerate(angles, 1))
+    links = [(0, room, angle) for room, angle in doors] + [(room, 0, angle + 180) for room, angle in doors]
+    made = tour_scene(tour_of(replace(grid_truth(len(angles) + 1, 1), links=links)), headings=8)
     ahead = made.scene.graph[:8, AHEAD]
     shown = set((ahead[ahead >= 0] // 8).tolist())
     hidden = set(range(1, len(angles) + 1)) - shown
