@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
 TINY = ["scene=bathroom_02", "imitation.max_steps=5", "reinforcement.frames_per_scene=400"]
 TINY += ["reinforcement.agents_per_scene=20", "evaluation.times=1", "evaluation.max_steps=20", "hydra.run.dir=run"]
 
@@ -18,8 +19,7 @@ TINY += ["reinforcement.agents_per_scene=20", "evaluation.times=1", "evaluation.
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True, timeout=3600)
+    subprocess.run([*PIP, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True)
     (file,) = folder.glob("*.whl")
     return file
 
@@ -28,19 +28,12 @@ def wheel(tmp_path_factory):
 def dirl(wheel, tmp_path_factory):
     """Run the installed ``dirl``, or a script, in one empty folder where nothing of the repository is found."""
     target, folder = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("empty")
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "install", "--no-deps", "--target", target, wheel], check=True, timeout=3600)
+    subprocess.run([*PIP, "install", "--no-deps", "--target", target, wheel], check=True)
+    environment = os.environ | {"PYTHONPATH": str(target)}
 
     def run(*arguments, script=target / "bin" / "dirl"):
-        done = subprocess.run(
-            [sys.executable, str(script), *arguments],
-            cwd=folder,
-            env=os.environ | {"PYTHONPATH": str(target)},
-            capture_output=True,
-            text=True,
-            timeout=3600,
-            check=False,
-        )
+        command = [sys.executable, str(script), *arguments]
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

@@ -188,9 +188,7 @@ def test_some_rooms_of_a_collection_are_trained_on_and_others_tested(tmp_path):
     done(tmp_path, "train", "-m", "experiment=unseen_rooms", *options)
     (run,) = (file.parent for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
     elsewhere = {"scene": f"collection:{tmp_path / 'rooms'}"}  # the collection has moved; its test rooms stay out
-    assert load_trained(load_checkpoint(run), str(run), elsewhere).protocol.world.names == (
-        "bathroom_30000",
-        "bathroom_30001",
-    )
+    names = load_trained(load_checkpoint(run), str(run), elsewhere).protocol.world.names
+    assert names == ("bathroom_30000", "bathroom_30001")
     printed = done(tmp_path, "evaluate", f"checkpoint={run}", "split=test", "goals=[3]", "rooms=null")
     assert "bathroom_10000" in printed

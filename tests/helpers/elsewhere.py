@@ -59,9 +59,6 @@ class Elsewhere(torch.Tensor):
     def __init__(self, held):
         self.held = held
 
-    def __repr__(self):
-        return f"Elsewhere({self.held})"
-
     @classmethod
     def __torch_dispatch__(cls, function, types, args=(), kwargs=None):
         return computed(function, args, kwargs or {})

@@ -1,5 +1,7 @@
 """Small made-up rooms for the tests, in memory and as files."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 from forks import reading_in_process
@@ -89,17 +91,9 @@ def renumbered(scene, order):
     """The same room with its states numbered anew: state ``i`` of the result is state ``order[i]`` of ``scene``."""
     order = np.asarray(order)
     new_number = np.append(np.argsort(order), -1)  # the last entry keeps -1, a blocked move, as it is
-    return Scene(
-        name=scene.name,
-        graph=new_number[scene.graph[order]],
-        positions=scene.positions[order],
-        headings=scene.headings[order],
-        features=scene.features[order],
-        goals=tuple(int(new_number[goal]) for goal in scene.goals),
-        source=scene.source,
-        extractor=scene.extractor,
-        origin="renumbered",
-    )
+    arrays = {name: getattr(scene, name)[order] for name in ("positions", "headings", "features")}
+    goals = tuple(int(new_number[goal]) for goal in scene.goals)
+    return replace(scene, graph=new_number[scene.graph[order]], **arrays, goals=goals, origin="renumbered")
 
 
 def published_dump(path, scene, *, crops=10):

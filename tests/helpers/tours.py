@@ -1,6 +1,5 @@
 """Tours of a room that is known exactly, written as each of the five kinds of tour that dirl reads."""
 
-import csv
 import json
 from dataclasses import dataclass, replace
 
@@ -202,12 +201,10 @@ def write_table(folder, truth, camera, side=48):
     """Images with ``links.csv`` and ``panoramas.csv``."""
     for index, name in enumerate(truth.names):
         save(camera.panorama(truth, index, 4 * side), folder / f"{name}.jpg")
-    with (folder / "links.csv").open("w", newline="") as stream:
-        rows = [(f"{truth.names[link[0]]}.jpg", f"{truth.names[link[1]]}.jpg", truth.yaw(link)) for link in truth.links]
-        csv.writer(stream).writerows([("image", "to", "yaw"), *rows])
-    with (folder / "panoramas.csv").open("w", newline="") as stream:
-        rows = [(f"{name}.jpg", *place, "") for name, place in zip(truth.names, truth.places, strict=True)]
-        csv.writer(stream).writerows([("image", "x", "z", "heading"), *rows])
+    links = [f"{truth.names[link[0]]}.jpg,{truth.names[link[1]]}.jpg,{truth.yaw(link)}" for link in truth.links]
+    (folder / "links.csv").write_text("\n".join(["image,to,yaw", *links, ""]))
+    places = [f"{name}.jpg,{x},{z}," for name, (x, z) in zip(truth.names, truth.places, strict=True)]
+    (folder / "panoramas.csv").write_text("\n".join(["image,x,z,heading", *places, ""]))
     return folder
 
 

@@ -13,14 +13,9 @@ from dirl.models.policy import SceneLinear, SceneTrunks
 OUTPUTS = ("hidden", "logits", "state_value")
 
 
-@pytest.fixture
-def policy():
-    return standardised_policy()
-
-
 @pytest.mark.parametrize("cached", [False, True])
-def test_torchrls_operators_compute_what_the_network_computes(policy, cached):
-    given = batch_of(*seen())
+def test_torchrls_operators_compute_what_the_network_computes(cached):
+    policy, given = standardised_policy(), batch_of(*seen())
     expected = policy(given.copy())
     if cached:
         policy.cache(SURROUNDING)
@@ -34,7 +29,8 @@ def test_torchrls_operators_compute_what_the_network_computes(policy, cached):
     assert len(calls) == 2  # once for observations, once for goals
 
 
-def test_its_plain_weights_are_those_without_what_makes_it_fast(policy):
+def test_its_plain_weights_are_those_without_what_makes_it_fast():
+    policy = standardised_policy()
     expected = {name: value.clone() for name, value in policy.state_dict().items()}
     policy.cache(SURROUNDING)
     found = plain_weights(policy)

@@ -9,12 +9,8 @@ from dirl.perception.columns import COLUMNS, UNIT, load_column_net, relative_pos
 
 def moved(points, ahead, right, turned):
     """Points as they are seen from a camera that was taken so far, and turned to the left, in degrees."""
-    angle = np.radians(turned)
-    off = points - torch.tensor([ahead, right]) / UNIT
-    return torch.stack(
-        [off[:, 0] * np.cos(angle) - off[:, 1] * np.sin(angle), off[:, 0] * np.sin(angle) + off[:, 1] * np.cos(angle)],
-        1,
-    )
+    cos, sin = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+    return (points - torch.tensor([ahead, right]) / UNIT) @ torch.tensor([[cos, sin], [-sin, cos]]).float()
 
 
 @pytest.mark.parametrize(

@@ -4,16 +4,11 @@ import re
 from commands import TINY, done, room_file, rows_of, run_recipe, summary_of
 
 
-def only_run(folder):
-    (run,) = folder.glob("runs/*/*")
-    return run
-
-
 def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
     file = room_file(tmp_path)
     printed = done(tmp_path, "train", f"scene={file}", *TINY)
     assert "| greedy " in printed
-    run = only_run(tmp_path)
+    (run,) = tmp_path.glob("runs/*/*")
     names = {"config.yaml", "summary.json", "network.pt", "learning_curve.png", "trajectories_grid.png"}
     names |= {"maps_grid.png", "episode_grid.gif", "imitation.csv", "reinforcement.csv", "evaluation.csv"}
     assert {entry.name for entry in run.iterdir()} == names
@@ -34,8 +29,8 @@ def test_train_leaves_a_whole_run_and_evaluate_repeats_its_result(tmp_path):
 
 def test_train_without_an_expert_by_ppo_and_with_stops_where_views_match(tmp_path):
     options = ["system=td_drl", "objective=ppo", "reinforcement.minibatches=2", "stop.training=match"]
-    done(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options)
-    assert summary_of(only_run(tmp_path))["frames"] == 600
+    done(tmp_path, "train", f"scene={room_file(tmp_path)}", *TINY, *options, "hydra.run.dir=run")
+    assert summary_of(tmp_path / "run")["frames"] == 600
 
 
 def test_a_run_until_stable_ends_at_the_first_evaluation_that_finds_every_goal_stable(tmp_path):

@@ -97,11 +97,8 @@ def test_two_runs_begun_in_the_same_second_get_two_folders(tmp_path):
     first, second = (opened(asked) for _ in range(2))
     begin(first)
     begin(second).close()
-    assert [run.folder.name for run in (first, second, begun(asked))] == [
-        asked.name,
-        f"{asked.name}-2",
-        f"{asked.name}-3",
-    ]
+    names = [run.folder.name for run in (first, second, begun(asked))]
+    assert names == [f"{asked.name}{number}" for number in ("", "-2", "-3")]
     job = tmp_path / "multirun" / asked.name / "0"
     assert [begun(job).folder.name for _ in range(2)] == ["0", "0-2"]
 

@@ -14,16 +14,8 @@ from dirl.scenes.views import FileViews
 
 def parts(**changes):
     """What the 24 states of a scene are made from, every array owned by the caller."""
-    room = grid_scene()
-    whole = {
-        "name": "room",
-        "graph": room.graph.copy(),
-        "positions": room.positions.copy(),
-        "headings": room.headings.copy(),
-        "features": room.features.copy(),
-        "origin": "here",
-    }
-    return {**whole, **changes}
+    arrays = {name: getattr(grid_scene(), name).copy() for name in ("graph", "positions", "headings", "features")}
+    return {"name": "room", "origin": "here", **arrays, **changes}
 
 
 def spoiled(name, state, value):

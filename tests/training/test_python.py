@@ -63,10 +63,5 @@ def test_what_is_wrong_is_an_error_of_one_line(room):
 
 def test_options_are_written_as_on_the_command_line():
     options = {"goals": {"a b": [1, 2]}, "imitation": {"rounds": 2}, "scene": "it's", "init": None, "x": [True, 0.5]}
-    assert as_arguments(options) == [
-        "goals={a b:[1, 2]}",
-        "imitation.rounds=2",
-        'scene="it\'s"',
-        "init=null",
-        "x=[true, 0.5]",
-    ]
+    told = ["goals={a b:[1, 2]}", "imitation.rounds=2", 'scene="it\'s"', "init=null", "x=[true, 0.5]"]
+    assert as_arguments(options) == told
