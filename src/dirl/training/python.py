@@ -37,8 +37,7 @@ class Measures(Facts):
     def __repr__(self) -> str:
         return summary_table(self)
 
-    def _repr_markdown_(self) -> str:
-        return summary_table(self)
+    _repr_markdown_ = __repr__
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ fits nowhere is passed over.
 A place that is reached by a new edge and looks like a known one may be another (perceptual aliasing): see `Doubt`.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -52,8 +52,6 @@ class ImageGraph(Panoramas):
         check_turns(turns)
         self.threshold, self.keep = threshold, min(LIKELY if odds else KEEP, threshold)
         self.margin = ODDS_MARGIN if odds else MARGIN
-        self.at: int | None = None
-        """The node where the walker is; None before the first look and after `lose`."""
         self.doubt: Doubt | None = None
         """While it is not known whether the walker is in a new place or in a known one that looks the same."""
         self._coasting = False
@@ -159,11 +157,6 @@ class ImageGraph(Panoramas):
                 if there != UNKNOWN and there not in first and there not in closed:
                     first[there] = action if began is None else began
                     queue.append(there)
-
-    def merge_panoramas(self, same: Mapping[int, int]) -> None:
-        """See `Panoramas.merge_panoramas`; the walker is where it was."""
-        super().merge_panoramas(same)
-        self.at = None if self.at is None else same.get(self.at, self.at)
 
     def _expected(self, action: int | None) -> int:
         """Return where the walker must be after an action by the map; `UNKNOWN` if that is not known."""

@@ -43,6 +43,8 @@ class Panoramas:
         """Whether that was seen, or only inferred from the opposite move."""
         self.changes = 0
         """Grows whenever the map changes."""
+        self.at: int | None = None
+        """The node where the walker is; None before the first look, and where it may be anywhere."""
         self._denied: dict[tuple[int, int], int] = {}
         self._views: list[Tensor] = []
 
@@ -100,7 +102,10 @@ class Panoramas:
         return node
 
     def merge_panoramas(self, same: Mapping[int, int]) -> None:
-        """Make the last panoramas the same as earlier ones, by the node to which each of their nodes is equal."""
+        """Make the last panoramas the same as earlier ones, by the node to which each of their nodes is equal.
+
+        The walker is where it was.
+        """
         first = min(same)
         for node, moves in enumerate(self.moves):
             if node >= first:
@@ -112,6 +117,7 @@ class Panoramas:
         self._denied = {key: there for key, there in self._denied.items() if max(key[0], there) < first}
         del self.moves[first:], self.observed[first:]
         del self._views[first // VIEWS :]
+        self.at = None if self.at is None else same.get(self.at, self.at)
         self.changes += 1
 
     def place(self, start: int) -> set[int]:
