@@ -445,7 +445,7 @@ def draft(options: DraftOptions) -> None:
 def photos(options: PhotosOptions) -> None:
     """Make a dump from photographs: a folder with ``states.csv``, with features if there is an encoder."""
     out, encoder = new_file(options.out), chosen_encoder(options)
-    scene, images = read_photos(Path(options.folder), name=options.name, source="photos")
+    scene, images = read_photos(Path(options.folder), name=options.name)
     if len(images) > len(scene) and encoder is None:
         raise SceneError(f"{options.folder}: of further shots only features are stored; give an encoder")
     encoded = encoded_photos(images, options.height, options.width)

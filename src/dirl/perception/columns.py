@@ -127,10 +127,10 @@ class ColumnNet(nn.Module):
         return alike.square() / (alike.sum(2, keepdim=True) + none) / (alike.sum(1, keepdim=True) + none)
 
 
-def load_column_net(file: str | Path = WEIGHTS) -> ColumnNet:
-    """Load the network with the weights of the package, or of a file."""
+def load_column_net() -> ColumnNet:
+    """Load the network with the weights of the package."""
     net = ColumnNet()
-    stored = read_tensors(Path(file))
+    stored = read_tensors(WEIGHTS)
     net.load_state_dict({name: value.float() if value.is_floating_point() else value for name, value in stored.items()})
     return net.eval()
 

@@ -67,7 +67,7 @@ class Row:
         return self.x, self.z
 
 
-def read_photos(folder: str | Path, *, name: str | None = None, source: str = "photos") -> tuple[Scene, list[Path]]:
+def read_photos(folder: str | Path, *, name: str | None = None) -> tuple[Scene, list[Path]]:
     """Return a scene without views and features from a folder, and the image of each of its states.
 
     States are numbered by location, in the order of the table, and then by heading. With K further shots of each state
@@ -76,7 +76,6 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
     Args:
         folder: holds ``states.csv`` and the images.
         name: of the scene; the folder's name if left out.
-        source: where the scene comes from.
 
     Raises:
         SceneError: the table is invalid, or describes an invalid scene. The message names the line.
@@ -105,7 +104,7 @@ def read_photos(folder: str | Path, *, name: str | None = None, source: str = "p
         positions=np.array([row.position for row in states]),
         headings=np.array([row.heading for row in states]) % 360,
         goals=tuple(state for state, row in enumerate(states) if row.goal),
-        source=source,
+        source="photos",
         extractor="none",
         origin=str(file),
     )
