@@ -59,21 +59,6 @@ def png(width, height, colour=0, bits=8):
     return b"\x89PNG\r\n\x1a\n" + body
 
 
-def case(name, content, read):
-    """A case of one file: what it holds, or a function that tells or makes it; and what reads the file."""
-
-    def make(folder):
-        file = folder / name
-        made = content(file) if callable(content) else content
-        if isinstance(made, str):
-            file.write_text(made)
-        elif isinstance(made, bytes):
-            file.write_bytes(made)
-        return partial(read, file)
-
-    return make
-
-
 def sparse(file):
     """A terabyte that takes no room."""
     file.touch()
@@ -86,7 +71,7 @@ def of_its_folder(read):
 
 
 def tour(name, text):
-    return case(name, text, of_its_folder(read_tour))
+    return name, text, of_its_folder(read_tour)
 
 
 def scenes_of_marzipano(count, **scene):
@@ -114,7 +99,7 @@ def panorama(width, height, **options):
         file.with_name("links.csv").write_text("image,to,yaw\na.png,b.png,0\nb.png,a.png,0\n")
         return png(width, height, **options)
 
-    return case("a.png", content, cut)
+    return "a.png", content, cut
 
 
 def cube(file):
@@ -205,25 +190,25 @@ CASES = {
     "2,000 cubes of 64 tiles a side": tour("tour.json", multires),
     "a large panorama": panorama(28_000, 14_000),
     "a panorama as large as may be": panorama(19_998, 9_999, colour=2),
-    "a face of a cube as large as may be": case("a.png", cube, cut),
-    "a large photograph": case("a.png", lambda _: png(16_384, 16_384, colour=6), encoded),
-    "a photograph as large as may be": case("a.png", lambda _: png(15_000, 13_300, colour=6), encoded),
-    "a large canvas of WebP": case("a.webp", webp, encoded),
-    "a large photo to go to": case("a.png", lambda _: png(16_384, 16_384, colour=6), read_photo),
-    "36,000 headings": case("states.csv", many_headings, of_its_folder(read_photos)),
-    "a sparse states.csv": case("states.csv", sparse, of_its_folder(read_photos)),
-    "a sparse checkpoint": case("network.pt", sparse, of_its_folder(load_checkpoint)),
-    "weights that repeat a number": case("a.pt", weights, lambda file: read_tensors(file)["a"].half()),
+    "a face of a cube as large as may be": ("a.png", cube, cut),
+    "a large photograph": ("a.png", lambda _: png(16_384, 16_384, colour=6), encoded),
+    "a photograph as large as may be": ("a.png", lambda _: png(15_000, 13_300, colour=6), encoded),
+    "a large canvas of WebP": ("a.webp", webp, encoded),
+    "a large photo to go to": ("a.png", lambda _: png(16_384, 16_384, colour=6), read_photo),
+    "36,000 headings": ("states.csv", many_headings, of_its_folder(read_photos)),
+    "a sparse states.csv": ("states.csv", sparse, of_its_folder(read_photos)),
+    "a sparse checkpoint": ("network.pt", sparse, of_its_folder(load_checkpoint)),
+    "weights that repeat a number": ("a.pt", weights, lambda file: read_tensors(file)["a"].half()),
     "a pipe for tour.json": tour("tour.json", os.mkfifo),
-    "a pipe for a room": case("a.toml", os.mkfifo, read_description),
+    "a pipe for a room": ("a.toml", os.mkfifo, read_description),
     "functions without end": tour("index.html", "scenes: {" + ":function(){:a=>{:function(" * 200_000),
-    "a WAD of 44 bytes": case("a.wad", WAD, lambda file: _check_map(file, "map01")),
-    "a map of 5.4 GB": case("a.pt", frames_map, load_frames_map),
-    "pictures of a map": case("a.pt", pictures_of_a_map, draw),
-    "a chunk of 4 GB in an MCAP file": case("a.mcap", mcap, lambda file: list(Recording(file))),
-    "a description of tables": case("a.toml", "a = " + "[" * 100_000, read_description),
+    "a WAD of 44 bytes": ("a.wad", WAD, lambda file: _check_map(file, "map01")),
+    "a map of 5.4 GB": ("a.pt", frames_map, load_frames_map),
+    "pictures of a map": ("a.pt", pictures_of_a_map, draw),
+    "a chunk of 4 GB in an MCAP file": ("a.mcap", mcap, lambda file: list(Recording(file))),
+    "a description of tables": ("a.toml", "a = " + "[" * 100_000, read_description),
 }
-"""Each writes its file into a folder and returns what reads it."""
+"""Each the name of a file, what it holds, or a function that tells or makes it, and what reads it."""
 
 SLOW = ("as large as may be", "a map of", "a large photo to go to", "36,000 headings", "5 million elements")
 """In the names of cases that take seconds or gigabytes."""
@@ -252,9 +237,14 @@ def told(read):
     yield f"{max(memory('VmHWM') - before, apart)} {said}"
 
 
-def try_case(make, folder):
+def try_case(name, content, read):
     """What came of reading a file in a fork, seconds of the processor and gigabytes."""
-    lines, ended, seconds = in_a_fork(partial(told, make(folder)), 6 * 2**30)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / name
+        made = content(file) if callable(content) else content
+        if made is not None:
+            file.write_bytes(made.encode() if isinstance(made, str) else made)
+        lines, ended, seconds = in_a_fork(partial(told, partial(read, file)), 6 * 2**30)
     more, _, said = "".join(lines).partition(" ")
     more = float(more or "nan")
     if ended or not lines:
@@ -264,19 +254,13 @@ def try_case(make, folder):
     return said, seconds, more
 
 
-def failed(said):
-    """Whether a case did not end as it should."""
-    return not said.startswith(("read", "one line"))
-
-
 def main(*names):
     """Try the cases of these names, or all; how many failed."""
     bad, quick = 0, [name for name in CASES if not any(slow in name for slow in SLOW)]
     names = quick if names == ("quick",) else names or [*CASES]
     for name in names:
-        with tempfile.TemporaryDirectory() as folder:
-            said, seconds, more = try_case(CASES[name], Path(folder))
-        bad += failed(said)
+        said, seconds, more = try_case(*CASES[name])
+        bad += not said.startswith(("read", "one line"))
         print(f"{name} | {seconds:.1f} s | {more:.2f} GB | {said}", flush=True)
     print(f"\n{len(names)} cases, {bad} failed")
     return bad
