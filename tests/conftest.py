@@ -69,6 +69,16 @@ def scene():
 
 
 @pytest.fixture
+def world():
+    """Rooms of 24 and 16 states, with goals 0, 13 and 33."""
+    from rooms import grid_scene
+
+    from dirl.scenes import make_world
+
+    return make_world([grid_scene(name="a", goals=(0, 13)), grid_scene(2, 2, name="b", goals=(9,), seed=1)])
+
+
+@pytest.fixture
 def dump(tmp_path, scene):
     """The room of `scene` as a file in the published layout."""
     from rooms import published_dump

@@ -35,9 +35,7 @@ PAGES = [
     *sorted((DOCS / "howto").glob("*.md")),
 ]
 
-SMALL = (
-    """imitation={"max_steps": 5}, reinforcement={"frames_per_scene": 240}, evaluation={"times": 1, "max_steps": 10}"""
-)
+SMALL = 'imitation={"max_steps": 5}, reinforcement={"frames_per_scene": 240}, evaluation={"times": 1, "max_steps": 9}'
 """Within a training from Python."""
 
 OTHERWISE = ("imitation.max_steps", "reinforcement.frames", "evaluation.max_steps")

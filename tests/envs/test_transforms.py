@@ -1,18 +1,11 @@
 import pytest
 import torch
-from rooms import grid_scene
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews, ViewFeatures
-from dirl.scenes import make_world
 
 AGENTS, STEPS = 6, 25
-
-
-@pytest.fixture
-def world():
-    return make_world([grid_scene(3, 2, name="a", goals=(0, 13)), grid_scene(2, 2, name="b", goals=(9,))])
 
 
 def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states(world):

@@ -63,13 +63,10 @@ def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no
 
 
 def visited(world, goal_index, state):
-    goal, observation = world.goals[torch.tensor(goal_index)], SurroundingViews(world)
-    seen = {
-        "view_ids": observation.reset_view_ids(torch.tensor(state)),
-        "goal_view_ids": observation.reset_view_ids(goal),
-    }
-    rows = {"state": torch.tensor(state), "goal": goal, "scene": world.scene_of[goal]}
-    return TensorDict({**rows, **seen}, [len(state)])
+    goal, state, observation = world.goals[torch.tensor(goal_index)], torch.tensor(state), SurroundingViews(world)
+    rows = {"state": state, "goal": goal, "scene": world.scene_of[goal]}
+    rows |= {"view_ids": observation.reset_view_ids(state), "goal_view_ids": observation.reset_view_ids(goal)}
+    return TensorDict(rows, [len(state)])
 
 
 def test_merged_demonstrations_keep_the_first_of_each_that_observe_the_same(world):

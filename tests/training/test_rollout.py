@@ -1,19 +1,12 @@
 import pytest
 import torch
 from networks import make_policy
-from rooms import grid_scene
 from torchrl.envs import Compose, StepCounter, TransformedEnv
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
-from dirl.scenes import make_world
 from dirl.training.rollout import collect
 
 AGENTS, STEPS = 12, 20
-
-
-@pytest.fixture
-def world():
-    return make_world([grid_scene(3, 2, name="a", goals=(0, 13)), grid_scene(2, 2, name="b", goals=(9,))])
 
 
 def make_env(world, views=SurroundingViews, agents=AGENTS):
