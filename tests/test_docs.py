@@ -38,9 +38,7 @@ PAGES = [
 SMALL = 'imitation={"max_steps": 5}, reinforcement={"frames_per_scene": 240}, evaluation={"times": 1, "max_steps": 9}'
 """Within a training from Python."""
 
-OTHERWISE = ("imitation.max_steps", "reinforcement.frames", "evaluation.max_steps")
-TRAINING = [option for option in TINY if not option.startswith(OTHERWISE)]
-TRAINING += ["evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
+TRAINING = [*TINY, "evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
 TRAINING += ["evaluation.starts=sampled", "evaluation.episodes_per_goal=4"]
 QUICK = {"recipes/train.py": TRAINING, "recipes/evaluate.py": ["starts=sampled", "episodes_per_goal=1"]}
 """Behind every training and evaluation of a page, but for the options that it gives itself."""
