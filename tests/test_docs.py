@@ -27,13 +27,8 @@ from dirl.reporting import pictures, trajectories
 from dirl.training import job
 
 DOCS = ROOT / "docs"
-PAGES = [
-    ROOT / "README.md",
-    ROOT / "AGENT_GUIDE.md",
-    DOCS / "quickstart.md",
-    *sorted((DOCS / "tutorials").glob("*.md")),
-    *sorted((DOCS / "howto").glob("*.md")),
-]
+PAGES = [ROOT / "README.md", ROOT / "AGENT_GUIDE.md", DOCS / "quickstart.md"]
+PAGES += [*sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "howto").glob("*.md"))]
 
 SMALL = 'imitation={"max_steps": 5}, reinforcement={"frames_per_scene": 240}, evaluation={"times": 1, "max_steps": 9}'
 """Within a training from Python."""

@@ -22,23 +22,15 @@ from dirl.training.job import begin
 
 def make_parts(*options):
     """``config``, ``world``, ``observation``, ``policy``, ``demos``, ``losses`` and ``protocol`` of these options."""
-    config = train_config(*options)
-    world = build_world(config)
-    observation = build_observation(config, world)
-    policy = learning_policy(config, world, observation)
-    demos = build_demonstrations(config, world, observation)
-    losses = build_losses(config, policy, world, demos)
-    protocol = build_protocol(config, world, observation)
-    torch.manual_seed(config.seed)
-    return SimpleNamespace(
-        config=config,
-        world=world,
-        observation=observation,
-        policy=policy,
-        demos=demos,
-        losses=losses,
-        protocol=protocol,
-    )
+    made = SimpleNamespace(config=train_config(*options))
+    made.world = build_world(made.config)
+    made.observation = build_observation(made.config, made.world)
+    made.policy = learning_policy(made.config, made.world, made.observation)
+    made.demos = build_demonstrations(made.config, made.world, made.observation)
+    made.losses = build_losses(made.config, made.policy, made.world, made.demos)
+    made.protocol = build_protocol(made.config, made.world, made.observation)
+    torch.manual_seed(made.config.seed)
+    return made
 
 
 def train_state(parts, saved=None):

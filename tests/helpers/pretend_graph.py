@@ -87,12 +87,7 @@ def pretend(monkeypatch):
 
     for module in ("training.stacked", "training.loops", "models.policy"):
         monkeypatch.setattr(f"dirl.{module}.reading_waits", lambda tensor: True)
-    for name, value in {
-        "CUDAGraph": graph,
-        "graph": capture,
-        "Stream": Stream,
-        "current_stream": Stream,
-        "stream": lambda _: nullcontext(),
-    }.items():
+    pretended = {"CUDAGraph": graph, "graph": capture, "Stream": Stream, "current_stream": Stream}
+    for name, value in {**pretended, "stream": lambda _: nullcontext()}.items():
         monkeypatch.setattr(torch.cuda, name, value)
     return made

@@ -24,12 +24,8 @@ class Points:
         vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
         focal = SIZE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
         count = YAWS.size
-        found = Described(
-            rng.normal(size=(count, 8)).astype(np.float16),
-            np.zeros((count, POINTS, 2), np.float16),
-            np.zeros((count, POINTS, 64), np.int8),
-            np.zeros(count, np.int16),
-        )
+        none = np.zeros((count, POINTS, 2), np.float16), np.zeros((count, POINTS, 64), np.int8)
+        found = Described(rng.normal(size=(count, 8)).astype(np.float16), *none, np.zeros(count, np.int16))
         for view, yaw in enumerate(np.radians(YAWS.ravel())):
             seen = points - [*PLACES[view // 4], 0]
             right = seen[:, 0] * np.cos(yaw) - seen[:, 1] * np.sin(yaw)

@@ -37,12 +37,8 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(tmp_path):
     printed = done(tmp_path, "train", *ANY_GOAL, f"scene={room_file(tmp_path, patches=True)}", "hydra.run.dir=run")
     assert "Goals held out of the training:" in printed
     found = {}
-    for name, options in {
-        "four": [],
-        "photo": ["goal_view=front"],
-        "alone": ["episodic_memory=none"],
-        "named": ["goals=[0,1,5,7,13]"],
-    }.items():
+    asked = {"four": [], "photo": ["goal_view=front"], "alone": ["episodic_memory=none"]}
+    for name, options in {**asked, "named": ["goals=[0,1,5,7,13]"]}.items():
         done(tmp_path, "evaluate", "checkpoint=run", f"out={name}.json", *options)
         result = json.loads((tmp_path / f"{name}.json").read_text())["greedy"]
         found[name] = result["atl"]

@@ -42,23 +42,12 @@ def test_the_losses_of_an_update_are_the_packages(parts, room):
     state, policy = train_state(parts), one_page.Policy(room)
     weights = plain_weights(parts.policy)
     fusion = torch.cat([weights["encoder.fusion.weight"], weights["encoder.goal_fusion.weight"]], 1)
-    policy.load_state_dict(
-        {
-            "embedding.weight": weights["encoder.embedding.weight"] @ room.axes,
-            "embedding.bias": weights["encoder.embedding.bias"],
-            "fusion.weight": fusion,
-            "fusion.bias": weights["encoder.fusion.bias"],
-            **{
-                f"{own}.{kind}": weights[f"heads.{theirs}.{kind}"]
-                for own, theirs in {
-                    "hidden": "trunk.scenes.bathroom_02.0",
-                    "actor": "policy.scenes.bathroom_02",
-                    "critic": "value.scenes.bathroom_02",
-                }.items()
-                for kind in ("weight", "bias")
-            },
-        }
-    )
+    own = {"embedding.weight": weights["encoder.embedding.weight"] @ room.axes, "fusion.weight": fusion}
+    own |= {f"{name}.bias": weights[f"encoder.{name}.bias"] for name in ("embedding", "fusion")}
+    heads = {"hidden": "trunk.scenes.bathroom_02.0", "actor": "policy.scenes.bathroom_02"}
+    for name, theirs in {**heads, "critic": "value.scenes.bathroom_02"}.items():
+        own |= {f"{name}.{kind}": weights[f"heads.{theirs}.{kind}"] for kind in ("weight", "bias")}
+    policy.load_state_dict(own)
     operator, index = parts.policy.operator(), parts.world.goal_index
     rollout, _ = collect(state.env, operator, state.agents, one_page.STEPS)
     with_advantage = make_advantages(one_page.GAMMA, one_page.LAMBDA)(bootstrap(rollout, operator.get_value_operator()))

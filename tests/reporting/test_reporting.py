@@ -20,33 +20,14 @@ from dirl.reporting.tables import read_columns
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import read_dump
 
-MEASURES = {
-    "atl": 146.194,
-    "atl_success": 9.5,
-    "sr": 0.998,
-    "spl": 0.9,
-    "shortest": 12.66,
-    "false_stop_rate": 0.25,
-    "missed_stop_rate": 0.0,
-    "episodes": 10_000,
-}
+MEASURES = {"atl": 146.194, "atl_success": 9.5, "sr": 0.998, "spl": 0.9, "shortest": 12.66}
+MEASURES |= {"false_stop_rate": 0.25, "missed_stop_rate": 0.0, "episodes": 10_000}
 SHOWN = ["146.2", "0.998", "0.900", "12.66", "0.250", "0.000", "10,000"]
 
-SUMMARY = {
-    "scene": "bathroom_02",
-    "source": "rooms",
-    "system": "td_drl",
-    "seed": 3,
-    "frames": 200_000,
-    "frames_per_second": 2776.2,
-    "seconds": 77.66,
-    "stable_at_frame": 23_000,
-    "peak_memory_mb": 1554.9,
-    "shortest_path": MEASURES,
-    "random": MEASURES,
-    "greedy": {**MEASURES, "scenes": {"bathroom_02": {**MEASURES, "goals": {"26": MEASURES, "37": MEASURES}}}},
-    "sampled": MEASURES,
-}
+GREEDY = {**MEASURES, "scenes": {"bathroom_02": {**MEASURES, "goals": {"26": MEASURES, "37": MEASURES}}}}
+SUMMARY = {"scene": "bathroom_02", "source": "rooms", "system": "td_drl", "seed": 3, "frames": 200_000}
+SUMMARY |= {"frames_per_second": 2776.2, "seconds": 77.66, "stable_at_frame": 23_000, "peak_memory_mb": 1554.9}
+SUMMARY |= {"shortest_path": MEASURES, "random": MEASURES, "greedy": GREEDY, "sampled": MEASURES}
 
 
 def cells(table):

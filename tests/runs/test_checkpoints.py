@@ -12,16 +12,9 @@ from spoil import spoilt
 
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 
-STATE = {
-    "frames": 7,
-    "network": {"w": torch.arange(1000.0)},
-    "config": "a: 1",
-    "extractor": "random",
-    "schema": 2,
-    "scenes": ["room"],
-    "views": ["ahead"],
-    "optimiser": {"state": {0: {"step": torch.tensor(1.0)}}, "param_groups": [{"betas": (0.9, 0.999), "eps": None}]},
-}
+OPTIMISER = {"state": {0: {"step": torch.tensor(1.0)}}, "param_groups": [{"betas": (0.9, 0.999), "eps": None}]}
+STATE = {"frames": 7, "network": {"w": torch.arange(1000.0)}, "config": "a: 1", "extractor": "random", "schema": 2}
+STATE |= {"scenes": ["room"], "views": ["ahead"], "optimiser": OPTIMISER}
 
 
 class Code:

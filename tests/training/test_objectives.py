@@ -49,16 +49,9 @@ def made(name, network, *options):
 def frames():
     """What the heads need of a batch: the trunk's output and what the rollout and the advantages left."""
     torch.manual_seed(0)
-    return TensorDict(
-        {
-            "hidden": torch.randn(ROWS, 16),
-            "scene": torch.randint(2, (ROWS,)),
-            "action": torch.randint(4, (ROWS,)),
-            "advantage": torch.randn(ROWS, 1),
-            "value_target": torch.randn(ROWS, 1),
-        },
-        [ROWS],
-    )
+    rows = {"hidden": torch.randn(ROWS, 16), "scene": torch.randint(2, (ROWS,)), "action": torch.randint(4, (ROWS,))}
+    rows |= {"advantage": torch.randn(ROWS, 1), "value_target": torch.randn(ROWS, 1)}
+    return TensorDict(rows, [ROWS])
 
 
 def heads_of(network, frames):
@@ -138,15 +131,9 @@ def test_advantages_equal_the_sum_over_time(rollout, gamma, lmbda):
 @pytest.fixture
 def demonstrations():
     torch.manual_seed(0)
-    return TensorDict(
-        {
-            "view_ids": torch.randint(STATES, (ROWS, 4)),
-            "goal_view_ids": torch.randint(STATES, (ROWS, 4)),
-            "scene": torch.randint(2, (ROWS,)),
-            "expert_action": torch.randint(4, (ROWS,)),
-        },
-        [ROWS],
-    )
+    rows = {name: torch.randint(STATES, (ROWS, 4)) for name in ("view_ids", "goal_view_ids")}
+    rows |= {"scene": torch.randint(2, (ROWS,)), "expert_action": torch.randint(4, (ROWS,))}
+    return TensorDict(rows, [ROWS])
 
 
 @pytest.mark.parametrize("reduction", [{}, {"reduction": "sum"}, {"reduction": "none"}])

@@ -12,13 +12,9 @@ import dirl
 from dirl.scenes import write_dump
 from dirl.training.python import as_arguments
 
-TINY = {
-    "encoder": {"width": 32},
-    "heads": {"width": 32},
-    "imitation": {"fraction": 0.2, "max_steps": 20},
-    "reinforcement": {"frames_per_scene": 300, "agents_per_scene": 6},
-    "evaluation": {"times": 1, "max_steps": 20},
-}
+TINY = {"encoder": {"width": 32}, "heads": {"width": 32}, "imitation": {"fraction": 0.2, "max_steps": 20}}
+TINY |= {"reinforcement": {"frames_per_scene": 300, "agents_per_scene": 6}}
+TINY |= {"evaluation": {"times": 1, "max_steps": 20}}
 
 
 @pytest.fixture

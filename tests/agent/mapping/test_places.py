@@ -31,12 +31,8 @@ SIZE = {"feature_width": 64, "patches": True, "looks": 3}
 
 @pytest.fixture(scope="module")
 def world():
-    return make_world(
-        [
-            grid_scene(4, 3, name="a", goals=(5, 30), noise=0.1, **SIZE),
-            grid_scene(3, 3, name="b", goals=(7,), seed=1, noise=0.1, **SIZE),
-        ]
-    )
+    first = grid_scene(4, 3, name="a", goals=(5, 30), noise=0.1, **SIZE)
+    return make_world([first, grid_scene(3, 3, name="b", goals=(7,), seed=1, noise=0.1, **SIZE)])
 
 
 @pytest.fixture(scope="module")
@@ -141,13 +137,8 @@ def walked(mapper, world, seed):
 
 def test_the_map_is_not_of_a_particle_that_has_just_sampled_what_is_improbable():
     for seed in range(20):
-        mapper = ParticleMapper(
-            LocalisingMemory(),
-            lambda seen, _: torch.full(seen.shape[:3], -1.0),
-            particles=64,
-            seed=seed,
-            arrows=lambda visit: torch.ones((*visit.shape, 4), dtype=torch.bool),
-        )
+        options = {"seed": seed, "arrows": lambda visit: torch.ones((*visit.shape, 4), dtype=torch.bool)}
+        mapper = ParticleMapper(LocalisingMemory(), lambda seen, _: torch.full(seen.shape[:3], -1.0), 64, **options)
         for action in (None, AHEAD):
             mapper.see(torch.arange(4), action)
         assert len(mapper.map()) == 4 * 2
@@ -157,12 +148,8 @@ def test_who_walks_through_a_tour_tells_places_by_their_arrows():
     shown = torch.ones((3, 8, 4), dtype=torch.bool)
     shown[2, 3, AHEAD] = False
     for second, places in ((1, 1), (2, 2)):
-        mapper = ParticleMapper(
-            LocalisingMemory(),
-            lambda seen, _: torch.tensor([[[5.0, *[-9.0] * 7]]]),
-            turns=8,
-            arrows=lambda visit: shown[visit[..., 0]],
-        )
+        options = {"turns": 8, "arrows": lambda visit: shown[visit[..., 0]]}
+        mapper = ParticleMapper(LocalisingMemory(), lambda seen, _: torch.tensor([[[5.0, *[-9.0] * 7]]]), **options)
         mapper.see(torch.zeros(8, dtype=torch.int64))
         mapper.see(torch.full((8,), second))  # carried there, so that motion says nothing
         assert len(mapper.map()) == 8 * places

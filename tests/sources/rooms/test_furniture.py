@@ -10,13 +10,8 @@ from dirl.sources.rooms.mesh import Mesh
 from dirl.sources.rooms.textures import TEXTURES, surfaces
 from dirl.sources.rooms.textures.noise import Canvas
 
-SIZES = {
-    "bed": (1.6, 2.1, 1.1),
-    "sofa": (2.0, 0.9, 0.88),
-    "counter": (1.4, 0.62, 0.92),
-    "plant": (0.5, 0.5, 1.2),
-    "door": (0.9, 0.08, 2.0),
-}
+SIZES = {"bed": (1.6, 2.1, 1.1), "sofa": (2.0, 0.9, 0.88), "counter": (1.4, 0.62, 0.92)}
+SIZES |= {"plant": (0.5, 0.5, 1.2), "door": (0.9, 0.08, 2.0)}
 HIGH = {"wall_cupboard", "hood", "tv", "picture", "mirror", "window", "bottles", "bowl", "vase", "lamp"}
 """Kinds whose height is not measured from the floor."""
 
