@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from commands import TINY, done, room_file, run_recipe, summary_of
+from commands import TINY, done, room_file, summary_of
 
 
 @pytest.mark.parametrize("policy", ["actor_critic", "shortest_path"])
@@ -47,10 +47,3 @@ def test_goal_view_and_memory_are_chosen_at_evaluation(tmp_path):
     summary = summary_of(tmp_path / "run")
     assert found["four"] == summary["greedy"]["atl"]
     assert len(set(found.values())) == 4
-
-
-def test_a_room_without_patches_is_told_before_anything_is_made(tmp_path):
-    status, _, errors = run_recipe(tmp_path, "train", *ANY_GOAL, f"scene={room_file(tmp_path)}", "hydra.run.dir=run")
-    assert status == 1
-    assert not (tmp_path / "run").exists()
-    assert "grid has none; encode it again by scenes.py encode ... patches=true" in errors.splitlines()[-1]

@@ -9,8 +9,6 @@ from PIL import Image
 from dirl.config.files import config_text
 from dirl.runs.loggers import WandbLogger
 
-SUMMARY = {"frames": 600, "scene": "bathroom_02", "greedy": {"spl": 0.25, "atl": math.nan}}
-
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
@@ -34,7 +32,7 @@ def log_a_run(folder, *options):
     logger.log("imitation", 27, {"step": 27, "loss": 0.5})
     logger.log("evaluation", 0, {"frames": 0, "spl": 0.1, "atl": math.nan})  # a lower step than the one before
     logger.log("evaluation", 300, {"frames": 300, "spl": 0.2, "atl": 9.0})
-    logger.finish(SUMMARY, folder)
+    logger.finish({"frames": 600, "scene": "bathroom_02", "greedy": {"spl": 0.25, "atl": math.nan}}, folder)
 
 
 def test_wandb_gets_everything_and_goes_on_as_the_same_run(folder, monkeypatch, capfd):

@@ -61,13 +61,9 @@ def test_the_scenes_of_a_world_share_its_features_which_are_float32(scenes):
     assert world.distance(torch.tensor(0), torch.tensor(0)).dtype == torch.int64
 
 
-GOALS = [(0, 0), (1, 5), (1, 31), (2, 7)]
-"""Scene and state in it of each goal of the world."""
-
-
 def test_the_distance_of_each_pair_is_that_of_a_search_in_its_scene(world, scenes):
     assert world.goals.tolist() == [0, 24 + 5, 24 + 31, 56 + 7]
-    for index, (scene, goal) in enumerate(GOALS):
+    for index, (scene, goal) in enumerate([(0, 0), (1, 5), (1, 31), (2, 7)]):
         expected = scenes[scene].distances[:, goal].tolist()
         states = torch.arange(len(scenes[scene])) + world.offsets[scene]
         goal_index = torch.full_like(states, index)

@@ -89,9 +89,11 @@ def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
     refused(told, make_parts, *options, "imitation.sampled=true", "imitation.goals=some")
 
 
-def test_a_policy_of_more_than_the_present_views_cannot_plan(tmp_path):
-    options = [f"scene={room_file(tmp_path)}", "episodic_memory=planning", "memory=gru", *SMALL]
-    refused("^episodic_memory: PlanningMemory asks .*use episodic_memory=none$", make_parts, *options)
+def test_a_policy_of_more_than_the_present_views_cannot_plan_nor_one_without_patches_compare_them(tmp_path):
+    options = [f"scene={room_file(tmp_path)}", *SMALL]
+    told = "^episodic_memory: PlanningMemory asks .*use episodic_memory=none$"
+    refused(told, make_parts, *options, "episodic_memory=planning", "memory=gru")
+    refused("grid has none; encode it again by scenes.py encode", make_parts, *options, "system=any_goal")
 
 
 SHAPES = {"left": (3, 2), "right": (2, 3)}

@@ -11,8 +11,6 @@ from rooms import grid_scene, published_dump, read_here
 from dirl.scenes import load_scenes, read_dump, write_dump
 from dirl.scenes.io import read as isolation
 
-ARRAYS = ("graph", "positions", "headings", "features", "patches", "look_features", "look_patches")
-
 
 def packed_views(file):
     pixels = np.random.default_rng(0).integers(0, 256, (24, 3, 4, 3), np.uint8)
@@ -28,7 +26,7 @@ def test_a_scene_is_the_same(tmp_path, what):
     else:
         write_dump(path, grid_scene(feature_width=64, goals=(3, 1), patches=True, looks=2, noise=0.05), [VIEW] * 24)
     apart, here = read_dump(path), read_here(path)
-    for name in ARRAYS:
+    for name in ("graph", "positions", "headings", "features", "patches", "look_features", "look_patches"):
         ours, theirs = getattr(apart, name), getattr(here, name)
         assert np.array_equal(ours, theirs), name
         assert ours is theirs is None or ours.dtype == theirs.dtype, name
