@@ -103,4 +103,13 @@ def change_a_view(rng, path):
         file["observation_webp"][state] = np.frombuffer(bytes(view) or b"%!PS", np.uint8)
 
 
-WAYS = (anywhere, in_the_metadata, in_a_header, overwrite, change_attribute, *[change_dataset] * 2, change_a_view)
+WAYS = (
+    anywhere,
+    in_the_metadata,
+    in_a_header,
+    overwrite,
+    change_attribute,
+    change_dataset,
+    change_dataset,
+    change_a_view,
+)

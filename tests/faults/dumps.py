@@ -100,19 +100,23 @@ def try_files(numbers, seed, folder):
         goods[base] = fingerprint(read_dump(path))
     gc.freeze()  # what is not looked at is not copied in a fork
 
-    def read(base, way, number, *, isolated=False):
+    def choose(number):
+        rng = np.random.default_rng((seed, number))
+        return str(rng.choice(list(files))), WAYS[rng.integers(len(WAYS))]
+
+    def read(number, *, isolated=False):
+        base, way = choose(number)
         damage(path, files[base], way, (seed, number, 1))
         return outcome(path, goods[base], base == "ours", isolated=isolated)
 
     for number in numbers:
-        rng = np.random.default_rng((seed, number))
-        case = str(rng.choice(list(files))), WAYS[rng.integers(len(WAYS))], number
-        found = in_a_limited_fork(partial(read, *case))
+        found = in_a_limited_fork(partial(read, number))
         if found in (CRASHED, SLOW):
-            found = found if read(*case, isolated=True) == LINE else LOST
-        elif number % READ_APART == 0 and read(*case, isolated=True) != found:
+            found = found if read(number, isolated=True) == LINE else LOST
+        elif number % READ_APART == 0 and read(number, isolated=True) != found:
             found = LOST
-        yield case[0], found, case[1].__name__, number
+        base, way = choose(number)
+        yield base, found, way.__name__, number
 
 
 def main(count=1000, seed=0):

@@ -54,21 +54,26 @@ def of_word(word):
     return found
 
 
-def kill(tool, words, delay, folder):
-    """Kill a tool after so many seconds: what is left of it some time later, and whether it had ended before."""
-    word, before, began = secrets.token_hex(8), set(SHARED.iterdir()), time.monotonic()
-    child = Child(folder, tool, *words, prepare=partial(os.environ.update, DIRL_EARLY=word))
-    while time.monotonic() < began + 3 * delay and processor_seconds(child.pid) < delay:
-        time.sleep(0.005)
-    child.send_signal()
-    ended = child.wait().status != -signal.SIGKILL
+def left_behind(word, before):
+    """What there still is of a tool some seconds after it was killed; its processes are ended."""
     ends = time.monotonic() + PATIENCE
     while (left := [*of_word(word), *(set(SHARED.iterdir()) - before)]) and time.monotonic() < ends:
         time.sleep(0.2)
     for one in left:
         with suppress(OSError, TypeError):
             os.kill(one, signal.SIGKILL)
-    return left, ended
+    return left
+
+
+def kill(tool, words, delay, folder):
+    """Kill a tool after so many seconds: what it left behind, and whether it had ended before."""
+    word, before, began = secrets.token_hex(8), set(SHARED.iterdir()), time.monotonic()
+    child = Child(folder, tool, *words, prepare=partial(os.environ.update, DIRL_EARLY=word))
+    while time.monotonic() < began + 3 * delay and processor_seconds(child.pid) < delay:
+        time.sleep(0.005)
+    child.send_signal()
+    ended = child.wait().status != -signal.SIGKILL
+    return left_behind(word, before), ended
 
 
 def try_tool(name, tool, words, kills, seed, folder):

@@ -325,10 +325,14 @@ def tour_world(folder):
 def test_a_tour_is_drawn_and_walked(watched_tab, tmp_path):
     world = tour_world(tmp_path)
     memory = GraphMemory(world, 3.0)
-    policy = GuidedPolicy(ShortestPathPolicy(world), memory, 3)
-    protocol = EvaluationProtocol(world, SurroundingViews(world, "front"), every_start(world), max_steps=60)
-    told = {"matching": TemplateStop(0.95, "front"), "title": "a test", "graphs": memory.graphs, "last_steps": 3}
-    ((name, text),) = viewer_pages(policy, protocol, **told).items()
+    ((name, text),) = viewer_pages(
+        GuidedPolicy(ShortestPathPolicy(world), memory, 3),
+        EvaluationProtocol(world, SurroundingViews(world, "front"), every_start(world), max_steps=60),
+        matching=TemplateStop(0.95, "front"),
+        title="a test",
+        graphs=memory.graphs,
+        last_steps=3,
+    ).items()
     (tmp_path / name).write_text(text, encoding="utf-8")
     tab = watched_tab((tmp_path / name).as_uri())
     assert tab.is_visible("#about-map")
