@@ -283,11 +283,6 @@ def check(options: Options) -> None:
         raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
 
 
-def in_tours(trained: Trained) -> bool:
-    """Return whether all scenes are tours."""
-    return all(scene.source.startswith("tour") for scene in trained.protocol.world.scenes)
-
-
 def views_return(memory: object, world: World) -> bool:
     """Return whether an agent that localises would be in scenes of one look, whose views return bit for bit."""
     return isinstance(memory, LocalisingMemory) and world.looks == 1
@@ -296,7 +291,7 @@ def views_return(memory: object, world: World) -> bool:
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:
     """The same agent, which sees the arrows and all headings of its place: if nothing else is asked for, in tours."""
     protocol = trained.protocol
-    tour = in_tours(trained)
+    tour = all(scene.source.startswith("tour") for scene in protocol.world.scenes)
     plans = isinstance(protocol.memory, PlanningMemory | LocalisingMemory)
     if panorama and not plans:
         raise RunError("panorama: needs episodic_memory=planning or localising, which plan with all headings")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image
 
-from dirl.scenes.io.files import FREELY_UNPACKED, MOST_RATIO
+from dirl.scenes.io.files import FREELY_UNPACKED
 from dirl.scenes.io.read import SECONDS, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
@@ -38,6 +38,9 @@ FORMATS = "mov,matroska,avi,mpeg,mpegts,asf,flv,ogg"
 """Demuxers of ffmpeg that read videos alone. Others turn texts into pictures, or open files that a list names."""
 
 BAGS = (".bag", ".mcap", ".db3")
+
+MOST_RATIO = 100
+"""What frames of more than `FREELY_UNPACKED` bytes may be, in sizes of their file."""
 
 MEMORY, SECONDS_A_MEGABYTE = 2 * 2**30, 20.0
 """Bytes of address space of the process that reads a video or bag: a chunk of a megabyte may unpack to many gigabytes;

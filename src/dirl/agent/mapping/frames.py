@@ -240,11 +240,11 @@ def load_frames_map(file: str | Path) -> FrameMap:
         return FrameMap([picture.tobytes() for picture in pictures], described=described, **known)
     except FileNotFoundError:
         raise MapError(f"{file}: there is no such map") from None
+    except MapError:
+        raise
     except RunError as error:
         raise MapError(f"{error}; make it anew with dirl map") from None
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        if isinstance(error, MapError):
-            raise
         raise MapError(f"{file}: is no map of dirl ({type(error).__name__}: {error})") from None
 
 

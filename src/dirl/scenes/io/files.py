@@ -29,8 +29,8 @@ MOST = 64 * 2**20
 MOST_WEIGHTS = 4 * 2**30
 """Of a file of tensors: a checkpoint has three times the weights, a map of a recording 50 kB a frame."""
 
-FREELY_UNPACKED, MOST_RATIO = 2**28, 100
-"""What unpacks to more bytes may only be so many times larger than its file."""
+FREELY_UNPACKED = 2**28
+"""Bytes that a file may unpack to, however small it is."""
 
 
 def open_regular(file: Path) -> BinaryIO:
