@@ -162,6 +162,13 @@ def test_a_path_is_told_as_moves(graph, sift):
     assert [str(move) for move in back] == ["turn around", "ahead 8 s", "turn around"]
 
 
+@pytest.mark.parametrize(("frames", "told"), [(6, "turn around"), (9, "turn left 56 degrees"), (10, None)])
+def test_who_turned_past_half_a_circle_is_told_the_shorter_way_round(frames, told):
+    turning = Bricks(Motion(0, 0, -38))
+    graph = map_recordings([CORRIDOR], turning, 65.0)
+    assert [str(move) for move in moves_along(graph, turning, range(frames))] == [told] * (told is not None)
+
+
 def test_a_saved_map_is_the_same_and_a_damaged_one_is_refused(tmp_path, graph, sift):
     file = tmp_path / "walk.pt"
     graph.save(file)

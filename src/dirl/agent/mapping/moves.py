@@ -59,10 +59,11 @@ def moves_along(graph: FrameMap, matcher: FrameMatcher, path: Sequence[int]) -> 
         if abs(turn) >= LEAST_TURN and abs(turned) < STRAIGHT:
             moves += _told(turn, ahead, there)
             turn, ahead = 0.0, 0.0
-    moves += _told(turn if abs(turn) >= LEAST_TURN else 0.0, ahead, path[-1])
+    moves += _told(turn, ahead, path[-1])
     return [*moves, Move(180.0, 0.0, path[-1])] if back else moves
 
 
 def _told(turn: float, ahead: float, frame: int) -> list[Move]:
-    """Return a way ahead and the turn at its end."""
-    return [Move(0.0, ahead, frame)] * (ahead > 0) + [Move(turn, 0.0, frame)] * (turn != 0)
+    """Return a way ahead and the turn at its end, the shorter way round."""
+    turn = (turn + 180) % 360 - 180
+    return [Move(0.0, ahead, frame)] * (ahead > 0) + [Move(turn, 0.0, frame)] * (abs(turn) >= LEAST_TURN)
