@@ -66,7 +66,7 @@ def test_a_memory_makes_of_whole_episodes_what_it_makes_step_by_step():
 
 
 @pytest.mark.parametrize("late", [False, True])
-@pytest.mark.parametrize("layers", [SceneTrunks(SCENES, lambda: nn.Linear(5, 3)), SceneLinear(SCENES, 5, 3)])
+@pytest.mark.parametrize("layers", [kind(SCENES, lambda: nn.Linear(5, 3)) for kind in (SceneTrunks, SceneLinear)])
 @pytest.mark.parametrize("scene", [[2, 0, 1, 0, 2, 2], [1, 1, 1, 1, 1, 1], [2, 0, 0, 2, 0, 2]])
 def test_each_row_goes_through_the_layer_of_its_scene(layers, scene, late, monkeypatch):
     monkeypatch.setattr(policy_module, "reading_waits", lambda tensor: late)  # as on a GPU, or not

@@ -44,7 +44,19 @@ def build_policy(
     trust = config.trust
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        encoder = _encoder(config, features, views)
+        # Patches have one shape wherever they are computed, see dirl.perception.backbones.patches.
+        read = {"num_features": features.table.shape[1], "num_views": views, "patch_shape": PATCH_SHAPE}
+        encoder: Any = make("encoder", config.encoder, trust, **read)
+        if isinstance(features, ObservationTable):
+            # The encoder reads coordinates, with the weights that it would begin with on features.
+            weights = encoder.state_dict()
+            for layer in encoder.linear:
+                name = f"{layer}.weight"
+                weights[name] = features.narrow(weights[name].to(features.table.device))
+            with torch.random.fork_rng(devices=[]):
+                read |= {"num_features": features.width, "num_views": features.slots}
+                encoder = make("encoder", config.encoder, trust, **read)
+            encoder.load_state_dict(weights)
         shape = [1, features.slots if isinstance(features, ObservationTable) else views, features.width]
         fused = _output_width("encoder", encoder, lambda: encoder(*torch.zeros(2, *shape)), shape)
         memory = make("memory", config.memory, trust, input_size=fused, in_key="fused", out_key="memory")
@@ -55,24 +67,6 @@ def build_policy(
         parts = {"encoder": encoder, "memory": memory, "heads": heads, "features": features, "world": world}
         policy: ActorCritic = make("policy", config.policy, trust, **parts)
         return policy.to(features.table.device)
-
-
-def _encoder(config: TrainConfig, features: FeatureTable, views: int) -> nn.Module:
-    """Return the encoder of a policy; of coordinates with the weights that it would begin with on features."""
-    # Patches have one shape wherever they are computed, see dirl.perception.backbones.patches.
-    read = {"num_features": features.table.shape[1], "num_views": views, "patch_shape": PATCH_SHAPE}
-    encoder: Any = make("encoder", config.encoder, config.trust, **read)
-    if not isinstance(features, ObservationTable):
-        return encoder
-    weights = encoder.state_dict()
-    for layer in encoder.linear:
-        name = f"{layer}.weight"
-        weights[name] = features.narrow(weights[name].to(features.table.device))
-    with torch.random.fork_rng(devices=[]):
-        read |= {"num_features": features.width, "num_views": features.slots}
-        narrow: nn.Module = make("encoder", config.encoder, config.trust, **read)
-    narrow.load_state_dict(weights)
-    return narrow
 
 
 def _output_width(name: str, component: object, call: Callable[[], object], shape: list[int]) -> int:
@@ -115,13 +109,14 @@ def feature_table(
         mean, std, axes = whitening(world.features, config.network.components)
     elif config.network.standardise:
         mean, std = feature_statistics(world.features)
-    patches = world.patches if reads_patches(config) else None
-    if patches is None and reads_patches(config):
-        raise ConfigError(
-            f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again by "
-            "scenes.py encode ... patches=true"
-        )
-    patches = None if patches is None else coarse(patches)
+    patches = None
+    if reads_patches(config):
+        if world.patches is None:
+            raise ConfigError(
+                f"encoder={config.encoder[TARGET]} compares patches, and {world.names[0]} has none; encode it again by "
+                "scenes.py encode ... patches=true"
+            )
+        patches = coarse(world.patches)
     return FeatureTable(world.features, mean, std, axes, patches, room).to(world.device)
 
 

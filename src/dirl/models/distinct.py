@@ -23,23 +23,28 @@ def reading_waits(tensor: Tensor) -> bool:
     return tensor.is_cuda
 
 
+NONE = torch.empty(0, dtype=torch.int64)
+"""No key, or row."""
+
+
+@dataclass(eq=False)
 class EmbeddingCache:
-    """A cache of rows by key, each computed once.
+    """A cache of rows by key, each computed once."""
 
-    Args:
-        compute: the rows of distinct keys, int64 ``[R]`` to ``[R, ...]``.
-        every: compute the rows of all keys below this number at the first use, which saves looking up what is known
-            (and on a GPU a host-device synchronisation); None to compute what is needed.
-        learns: keep the graph that leads to the rows.
-    """
-
-    def __init__(self, compute: Callable[[Tensor], Tensor], every: int | None = None, *, learns: bool = False) -> None:
-        self.compute, self.every, self.learns = compute, every, learns
-        self.keys = torch.empty(0, dtype=torch.int64)
-        """Of the rows, int64 ``[R]``, in the order of their first use."""
-        self.rows = torch.empty(0)
-        """What was computed for them, ``[R, ...]``."""
-        self._sorted = self._places = self.keys
+    compute: Callable[[Tensor], Tensor]
+    """The rows of distinct keys, int64 ``[R]`` to ``[R, ...]``."""
+    every: int | None = None
+    """Compute the rows of all keys below this number at the first use, which saves looking up what is known (and on a
+    GPU a host-device synchronisation); None to compute what is needed."""
+    learns: bool = False
+    """Keep the graph that leads to the rows."""
+    keys: Tensor = NONE
+    """Of the rows, int64 ``[R]``, in the order of their first use."""
+    rows: Tensor = NONE
+    """What was computed for them, ``[R, ...]``."""
+    sorted_keys: Tensor = NONE
+    sorted_places: Tensor = NONE
+    """The place among the rows of each sorted key."""
 
     def places(self, keys: Tensor) -> Tensor:
         """Return the place among the rows of each key, int64 ``[K]`` to ``[K]``; missing rows are computed."""
@@ -52,16 +57,16 @@ class EmbeddingCache:
             if not len(self.keys):
                 self.keys, inverse = torch.unique(keys, return_inverse=True)
                 self.rows = self.compute(self.keys)
-                self._sorted, self._places = self.keys, torch.arange(len(self.keys), device=keys.device)
+                self.sorted_keys, self.sorted_places = self.keys, torch.arange(len(self.keys), device=keys.device)
                 return inverse
-            at = torch.searchsorted(self._sorted, keys).clamp_(max=len(self._sorted) - 1)
-            new = torch.unique(keys[self._sorted[at] != keys])
+            at = torch.searchsorted(self.sorted_keys, keys).clamp_(max=len(self.sorted_keys) - 1)
+            new = torch.unique(keys[self.sorted_keys[at] != keys])
             if len(new):
                 self.keys = torch.cat([self.keys, new])
                 self.rows = torch.cat([self.rows, self.compute(new)])
-                self._sorted, self._places = torch.sort(self.keys)
-                at = torch.searchsorted(self._sorted, keys)
-            return self._places[at]
+                self.sorted_keys, self.sorted_places = torch.sort(self.keys)
+                at = torch.searchsorted(self.sorted_keys, keys)
+            return self.sorted_places[at]
 
 
 def packable(ids: int, slots: int) -> bool:
@@ -171,8 +176,8 @@ class CachedEncoder(nn.Module):
         """Return a key for each observation, int64 ``[B, 4]`` to ``[B]``: its state, where that says all."""
         if self.surrounding is None:
             return self.keys.pack(view_ids)
-        unknown = len(self._wrapped[1])
         if self.front:  # states first, then goals of which only the front view is known
+            unknown = len(self._wrapped[1])
             return view_ids[:, 0] + unknown * (view_ids[:, 1] == unknown)
         return view_ids[:, 0].contiguous()
 

@@ -99,8 +99,8 @@ class ActorCriticHeads(nn.Module):
         names = ["shared"] if shared else list(scenes)
         self.width = width
         self.trunk = SceneTrunks(names, lambda: nn.Sequential(nn.Linear(in_features, width), nn.ReLU()))
-        self.policy = SceneLinear(names, width, num_actions)
-        self.value = SceneLinear(names, width, 1)
+        self.policy = SceneLinear(names, lambda: nn.Linear(width, num_actions))
+        self.value = SceneLinear(names, lambda: nn.Linear(width, 1))
 
 
 class SceneTrunks(nn.Module):
@@ -142,14 +142,11 @@ class SceneTrunks(nn.Module):
 
 
 class SceneLinear(SceneTrunks):
-    """One small linear layer for each scene; each row is passed through the layer of its scene, see `SceneTrunks`.
+    """`SceneTrunks` of one small linear layer a scene.
 
     All layers are applied to all rows, and the outputs of the right layer are selected. For a few outputs this is
     faster than sorting the rows.
     """
-
-    def __init__(self, scenes: Sequence[str], width: int, outputs: int) -> None:
-        super().__init__(scenes, lambda: nn.Linear(width, outputs))
 
     def forward(self, rows: Tensor, scene: Tensor) -> Tensor:
         """Apply each row's scene's layers: rows ``[..., F]`` of scenes int64 ``[...]``, to ``[..., F']``."""
