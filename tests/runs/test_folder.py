@@ -51,7 +51,7 @@ def saved_run(folder, *frames):
 
 def test_runs_that_are_saved_together_are_saved_more_rarely(tmp_path):
     run = Run(tmp_path, train_config("checkpoint.every_seconds=30"), None)
-    run._last_save -= 61
+    run.last_save -= 61
     assert run.save_due(2)
     assert not run.save_due(3)
 

@@ -28,17 +28,16 @@ EXTRAS = {"joblib": "sweeps", "optuna": "optuna", "ray": "ray", "submitit_local"
 """Of dirl, by the launcher or sweeper of Hydra that they bring."""
 
 
-def register() -> None:
-    """Give Hydra the types of a training's options, and the resolvers that name the folders of runs and sweeps."""
-    ConfigStore.instance().store("train_schema", TrainConfig)
-    OmegaConf.register_new_resolver("run_folder", _run_folder, replace=True)
-    OmegaConf.register_new_resolver("sweep_folder", lambda out, time: out or f"multirun/{time}", replace=True)
-
-
 def _run_folder(resume: str | None, out: str | None, system: str, scene: object, time: str) -> str:
     """Return the folder given, or ``runs/dirl_bathroom_02/<time>`` (several scenes joined by +, files by stems)."""
     scenes = list(map(str, scene)) if isinstance(scene, ListConfig) else [str(scene or "nowhere")]
     return resume or out or f"runs/{system}_{'+'.join(Path(name).stem for name in scenes)}/{time}"
+
+
+# What Hydra composes a training with: the types of its options, and the names of the folders of runs and sweeps.
+ConfigStore.instance().store("train_schema", TrainConfig)
+OmegaConf.register_new_resolver("run_folder", _run_folder, replace=True)
+OmegaConf.register_new_resolver("sweep_folder", lambda out, time: out or f"multirun/{time}", replace=True)
 
 
 @contextmanager
@@ -169,6 +168,5 @@ def _constant(name: str, override: Override) -> str:
 
 def compose_training(arguments: Sequence[str], **kwargs: bool) -> DictConfig:
     """Return what Hydra makes of a training's arguments, without flags; ``kwargs`` are those of ``hydra.compose``."""
-    register()
     with one_line_errors(), initialize_config_dir(str(CONF), version_base="1.3"):
         return compose("train", prepare(arguments), **kwargs)

@@ -61,7 +61,6 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
             text = schema.__doc__ or ""
         if schema is None:
             parsing.check_flags(arguments)
-            parsing.register()
         if shows:
             help.show(text, schema, arguments)
         options = None if schema is None else parsing.parse(schema, arguments)

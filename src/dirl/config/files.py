@@ -46,11 +46,6 @@ def typed(config: DictConfig) -> Any:
     return options
 
 
-def plain(config: Any) -> dict[str, Any]:
-    """Return a typed configuration as nested values, without ``out``, ``resume`` and ``trust`` of its start."""
-    return {**asdict(config), "out": None, "resume": None, "trust": None}
-
-
 def leaves(config: Any, prefix: str = "") -> dict[str, Any]:
     """Return the values of a nested configuration by dotted name; goals and lists are values."""
     values: dict[str, Any] = {}
@@ -70,7 +65,7 @@ def names(option: str, value: object) -> list[str]:
 
 def config_text(config: TrainConfig) -> str:
     """Return a configuration as YAML, without interpolations, and without ``out``, ``resume`` and ``trust``."""
-    return OmegaConf.to_yaml(OmegaConf.create(plain(config)))
+    return OmegaConf.to_yaml(OmegaConf.create({**asdict(config), "out": None, "resume": None, "trust": None}))
 
 
 def read_config(

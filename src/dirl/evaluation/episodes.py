@@ -173,33 +173,34 @@ class EvaluationProtocol:
         goal_index, start = self.starts
         episodes = Episodes.failed(goal_index, start, world.distance(goal_index, start), self.max_steps)
         generator = torch.Generator(world.device).manual_seed(self.seed)
-        goals = len(world.goals)
+        states, goals = len(world), len(world.goals)
+        stop = world.distances == 0 if self.stop is None else self.stop
         wanted = drawn_looks(goal_index, goals, world, generator, looks=self.photos or self.looks)
         # In a control the policy is shown other goals, in the same look.
         shown = wanted if self.shown is None else self.shown[wanted % goals] + wanted // goals * goals
         few = len(start) <= MANY
-        bar = tqdm(
-            total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=BAR_SECONDS, disable=few
-        )
         if memory is not None and scores is None:
             scores = VisitScores(NCC(), world)
-        with caching(policy, learns=False), bar:
+        with (
+            caching(policy, learns=False),
+            tqdm(
+                total=len(start), unit=" episodes", unit_scale=True, leave=False, mininterval=BAR_SECONDS, disable=few
+            ) as bar,
+        ):
             at_random = isinstance(policy, RandomPolicy) and not (greedy or few or memory)
             known = WorldTables(
                 world,
                 observation,
                 decide=None if at_random else deciding(policy, world, observation, len(start)),
-                arrived=_arrived(world, self.stop),
+                arrived=stop
+                if callable(stop)
+                else lambda wanted, ahead: stop[world.pair(wanted % goals, ahead % states)],
                 scores=scores,
                 locate=locating(policy, world),
                 around=world.panoramas() if self.panorama else None,
                 possible=world.possible if self.arrows else None,
                 sweeps=isinstance(policy, RandomPolicy),
             )
-
-            def ahead_in(state: Tensor, wanted: Tensor) -> Tensor:
-                besides = None if self.photos else wanted // goals
-                return drawn_looks(state, len(world), world, generator, besides, self.looks)
 
             every = torch.arange(len(start), device=world.device)
             # A memory of many episodes takes much space until they have ended.
@@ -208,7 +209,8 @@ class EvaluationProtocol:
                 scene_of_start = world.scene_of[start]
                 together = [every[scene_of_start == scene] for scene in scene_of_start.unique()]
             for rows in together:
-                ahead = ahead_in(start[rows], wanted[rows])
+                besides = None if self.photos else wanted[rows] // goals
+                ahead = drawn_looks(start[rows], states, world, generator, besides, self.looks)
                 view_ids = observation.reset_view_ids(ahead)
                 walk = AgentBatch(known, rows, wanted[rows], shown[rows], start[rows], ahead, view_ids)
                 scene = world.scene_of[walk.state]
@@ -220,7 +222,8 @@ class EvaluationProtocol:
                     else:
                         action, _ = agent.act(walk, generator, greedy=greedy)
                     state = world.graph[walk.state, action]
-                    ahead = ahead_in(state, walk.wanted)
+                    besides = None if self.photos else walk.wanted // goals
+                    ahead = drawn_looks(state, states, world, generator, besides, self.looks)
                     walk = replace(
                         walk, state=state, ahead=ahead, view_ids=observation.step_view_ids(walk.view_ids, ahead)
                     )
@@ -289,13 +292,3 @@ def drawn_looks(
         others = torch.randint(1, len(looks), index.shape, generator=generator, device=index.device)
         look = looks.start + (besides - looks.start + others) % len(looks)
     return index + count * look
-
-
-def _arrived(world: World, stop: Tensor | StopRule | None) -> StopRule:
-    """Return True where agents stop, by a table, a function, or exactly at the goal."""
-    states, goals = len(world), len(world.goals)
-    if stop is None:
-        return lambda wanted, ahead: ahead % states == world.goals[wanted % goals]
-    if isinstance(stop, Tensor):
-        return lambda wanted, ahead: stop[world.pair(wanted % goals, ahead % states)]
-    return stop

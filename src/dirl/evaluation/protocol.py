@@ -136,21 +136,16 @@ class EpisodeMeter:
         elif self.stable_at is None:
             self.stable_at = frames
 
-    @property
-    def atl(self) -> float:
-        """The current ATL of the goals that have any episode yet, averaged; NaN before there is one."""
-        means = [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
-        return sum(means) / len(means) if means else math.nan
-
     def measures(self, limit: int) -> dict[str, float]:
-        """Return what `atl` averages, that of the worst goal, and the success rate, over the goals that have episodes.
+        """Return the current ATL averaged over the goals that have episodes, that of the worst goal, and ``sr``.
 
-        ``sr`` is the fraction of the latest episodes that ended before the step limit, averaged over goals as well.
+        ``sr`` is the fraction of the latest episodes that ended before the step limit, averaged over goals as well. All
+        are NaN before there is an episode.
         """
         means = [total / len(last) for last, total in zip(self.steps, self.totals, strict=True) if last]
         rates = [sum(steps < limit for steps in last) / len(last) for last in self.steps if last]
         return {
-            "atl": self.atl,
+            "atl": sum(means) / len(means) if means else math.nan,
             "atl_worst_goal": max(means, default=math.nan),
             "episodes": self.episodes,
             "sr": sum(rates) / len(rates) if rates else math.nan,

@@ -79,8 +79,13 @@ def result_table(rows: Mapping[str, Mapping[str, float | None]], leave_out: Coll
     shown += [(key, key, 3) for key in own if key not in known]  # of a user's own metric
     cells = [["", *(heading for heading, _, _ in shown)]]
     for label, measures in rows.items():
-        values = [_number(measures.get(key), decimals) for _, key, decimals in shown]
-        cells.append([label.replace("|", r"\|"), *values])
+        cells.append([label.replace("|", r"\|")])
+        for _, key, decimals in shown:
+            value = measures.get(key)
+            if value is None or math.isnan(value):
+                cells[-1].append("-")
+            else:  # five digits at most: 6.19 keeps two decimals, and 153.25 becomes 153.3
+                cells[-1].append(f"{value:,.{decimals if value < 100 or not decimals else 1}f}")
     # A column is never narrower than the "--:" under its heading.
     widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
@@ -170,13 +175,6 @@ def read_columns(file: Path, *names: str) -> dict[str, NDArray[np.float64]]:
     except csv.Error as error:
         raise ValueError(f"{file}: is no table ({error})") from None
     return {name: np.array([float(row[name] or "nan") for row in rows], float) for name in names}
-
-
-def _number(value: float | None, decimals: int) -> str:
-    """Return five digits at most, so that 6.19 keeps two decimals and 153.25 becomes 153.3."""
-    if value is None or math.isnan(value):
-        return "-"
-    return format(value, f",.{decimals if value < 100 or not decimals else 1}f")
 
 
 def write_goals(measures: Summary, file: Path) -> None:

@@ -8,11 +8,12 @@ import sys
 import time
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dirl.config.components import packages_to_trust
-from dirl.config.files import config_text, leaves, plain, read_config
+from dirl.config.files import config_text, leaves, read_config
 from dirl.config.folders import command
 from dirl.config.schemas import Existing, LoggerName, TrainConfig
 from dirl.runs.checkpoints import (
@@ -27,7 +28,7 @@ from dirl.runs.checkpoints import (
     save_checkpoint,
     training_checkpoints,
 )
-from dirl.runs.locks import FolderLock, claim, is_numbered
+from dirl.runs.locks import TIME, FolderLock, claim
 from dirl.scenes.io.files import PREFIX, read_text, write_json, write_text
 from dirl.scenes.world import World
 
@@ -35,40 +36,32 @@ if TYPE_CHECKING:
     from dirl.runs.loggers import WandbLogger
 
 
+@dataclass(eq=False)
 class Run:
     """A run: its folder, its configuration, and the checkpoint that it continues from.
 
     Its metrics are CSV files, one for each stage, with one row for each record. (TorchRL's ``CSVLogger`` writes one
     file for each metric, and cannot remove what a killed run wrote after its last checkpoint.)
-
-    Args:
-        folder: for everything that it writes.
-        config: its configuration, saved there as ``config.yaml``.
-        saved: the checkpoint that it continues from; None at the beginning.
-        lock: of the folder, for a run that is in it already; without, `begin` makes sure that the folder holds none.
-        unusable: damaged checkpoints, which `begin` sets aside.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        config: TrainConfig,
-        saved: State | None = None,
-        *,
-        lock: FolderLock | None = None,
-        unusable: Sequence[Path] = (),
-    ) -> None:
-        self.folder = folder
-        self.config = config
-        self.saved = saved
-        self.logger: WandbLogger | None = None
-        self._lock = lock
-        self._unusable = unusable
-        self._began = time.perf_counter() - (saved["seconds"] if saved else 0.0)
-        self._last_save = time.perf_counter()
-        self._facts: State = {}
-        self._tables: dict[Path, list[str]] = {}
-        """Columns of each that has been begun; none before its first row."""
+    folder: Path
+    """For everything that it writes."""
+    config: TrainConfig
+    """Saved there as ``config.yaml``."""
+    saved: State | None = None
+    """The checkpoint that it continues from; None at the beginning."""
+    lock: FolderLock | None = None
+    """Of the folder, for a run that is in it already; without, `begin` makes sure that the folder holds none."""
+    unusable: Sequence[Path] = ()
+    """Damaged checkpoints, which `begin` sets aside."""
+    logger: "WandbLogger | None" = None
+    facts: State = field(default_factory=dict)
+    """What every checkpoint says beside its weights, see `checkpoint_facts`."""
+    tables: dict[Path, list[str]] = field(default_factory=dict)
+    """Columns of each that has been begun; none before its first row."""
+    began: float = field(default_factory=time.perf_counter)
+    """When this process began it."""
+    last_save: float = field(default_factory=time.perf_counter)
 
     def begin(self, world: World, view_order: Sequence[str]) -> None:
         """Lock the folder, write the configuration, and remove what is newer than the checkpoint.
@@ -82,18 +75,18 @@ class Run:
             OSError: the folder cannot be written to.
         """
         asked = self.folder
-        if self._lock is None and self.saved is None:
-            self.folder, self._lock = claim(asked)
-        elif self._lock is None:
-            self._lock = FolderLock(self.folder)
+        if self.lock is None and self.saved is None:
+            self.folder, self.lock = claim(asked)
+        elif self.lock is None:
+            self.lock = FolderLock(self.folder)
         try:
             if self.config.logger.name == LoggerName.wandb:
                 from dirl.runs.loggers import WandbLogger  # late: wandb takes a second
 
                 self.logger = WandbLogger(self.config, self.folder)
-            self._facts = facts(self.config, world, view_order)
+            self.facts = checkpoint_facts(self.config, world, view_order)
             # Files of a killed process that this run does not continue from.
-            for file in self._unusable:
+            for file in self.unusable:
                 file.replace(file.with_name(f"{file.name}.damaged"))
             for file in (*self.folder.glob(f"{PREFIX}*"), *(self.folder / "checkpoints").glob(f"{PREFIX}*")):
                 file.unlink(missing_ok=True)
@@ -102,9 +95,9 @@ class Run:
                 if file.exists():
                     os.truncate(file, sizes.get(file.name, 0))
                     with file.open(encoding="utf-8", errors="replace") as stream:
-                        self._tables[file] = next(csv.reader([stream.readline(2**16)]))
+                        self.tables[file] = next(csv.reader([stream.readline(2**16)]))
             if not (self.folder / CONFIG_FILE).exists():
-                write_text(self.folder / CONFIG_FILE, self._facts["config"])
+                write_text(self.folder / CONFIG_FILE, self.facts["config"])
         except BaseException:
             self.close()
             if self.folder != asked:
@@ -114,9 +107,9 @@ class Run:
 
     def close(self) -> None:
         """Release the folder; the end of the process does so at the latest."""
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
+        if self.lock is not None:
+            self.lock.release()
+            self.lock = None
 
     def how_to_go_on(self) -> str:
         """Return what is safe and how to continue, for the message of a stopped run."""
@@ -130,7 +123,8 @@ class Run:
     @property
     def seconds(self) -> float:
         """Return the duration of the run, without the time between a stop and its resumption."""
-        return time.perf_counter() - self._began
+        before = self.saved["seconds"] if self.saved is not None else 0.0
+        return before + time.perf_counter() - self.began
 
     def write(self, stage: str, step: int, row: Mapping[str, float | int]) -> None:
         """Append a row to ``<stage>.csv``; NaN becomes an empty cell. The columns are those of the first row."""
@@ -139,13 +133,13 @@ class Run:
             name: "" if math.isnan(value) else f"{value:.6g}" if isinstance(value, float) else value
             for name, value in row.items()
         }
-        if file in self._tables:
+        if file in self.tables:
             file.stat()  # if somebody has deleted it, a file without its first rows must not take its place
-        begins = not self._tables.get(file)
+        begins = not self.tables.get(file)
         if begins:
-            self._tables[file] = list(row)
+            self.tables[file] = list(row)
         with file.open("a", newline="") as stream:
-            writer = csv.DictWriter(stream, self._tables[file], restval="", extrasaction="ignore")
+            writer = csv.DictWriter(stream, self.tables[file], restval="", extrasaction="ignore")
             if begins:
                 writer.writeheader()
             writer.writerow(cells)
@@ -154,7 +148,7 @@ class Run:
 
     def save_due(self, runs: int) -> bool:
         """Return True if it is time for the next checkpoint; the more runs are saved together, the longer it takes."""
-        return time.perf_counter() - self._last_save >= runs * self.config.checkpoint.every_seconds
+        return time.perf_counter() - self.last_save >= runs * self.config.checkpoint.every_seconds
 
     def save(self, state: State) -> None:
         """Write a checkpoint of the training, and delete old ones.
@@ -162,28 +156,24 @@ class Run:
         Args:
             state: at least ``network`` and ``frames``; ``torch.load`` must be able to read it with ``weights_only``.
         """
-        self._check_written()
+        (self.folder / CONFIG_FILE).stat()  # if somebody has deleted the folder, a part of it must not come back
         tables = {}
-        for file in sorted(self._tables):
+        for file in sorted(self.tables):
             with file.open("rb") as stream:
                 os.fsync(stream.fileno())  # a checkpoint must not reach the disk before the rows that it counts
                 tables[file.name] = os.fstat(stream.fileno()).st_size
-        state = {**state, **self._facts, "tables": tables, "seconds": self.seconds}
+        state = {**state, **self.facts, "tables": tables, "seconds": self.seconds}
         save_checkpoint(self.folder / "checkpoints" / f"{state['frames']:012d}.pt", state)
         for file in training_checkpoints(self.folder)[: -self.config.checkpoint.keep]:
             file.unlink()
-        self._last_save = time.perf_counter()
+        self.last_save = time.perf_counter()
 
     def finish(self, state: State, summary: Summary) -> None:
         """Write ``network.pt`` and ``summary.json``."""
-        self._check_written()
-        save_checkpoint(self.folder / "network.pt", {**state, **self._facts})
+        for file in (self.folder / CONFIG_FILE, *self.tables):
+            file.stat()  # see `save`
+        save_checkpoint(self.folder / "network.pt", {**state, **self.facts})
         write_json(self.folder / "summary.json", summary)
-
-    def _check_written(self) -> None:
-        """Raise ``FileNotFoundError`` if a file was deleted: of a folder deleted during a write, a part may stay."""
-        for file in (self.folder / CONFIG_FILE, *self._tables):
-            file.stat()
 
     def clean_up(self, summary: Summary) -> None:
         """Delete the checkpoints of the training; the run then counts as finished, and the folder is released."""
@@ -194,7 +184,7 @@ class Run:
             self.logger.finish(summary, self.folder)
 
 
-def facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> State:
+def checkpoint_facts(config: TrainConfig, world: World, view_order: Sequence[str]) -> State:
     """Return what a checkpoint says beside its weights, for everyone who uses them."""
     scenes = {"scenes": list(world.names), "extractor": world.scenes[0].extractor}
     seen = {"views": list(view_order), "turns": world.turns.unique().tolist()}
@@ -219,7 +209,7 @@ def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run
     if config.resume is None:
         if not (folder / CONFIG_FILE).exists():
             return Run(folder, config)
-        if config.existing == Existing.refuse and is_numbered(folder):
+        if config.existing == Existing.refuse and any(map(TIME.fullmatch, folder.parts[-2:])):
             return Run(folder, config)
         if config.existing == Existing.refuse:
             raise RunError(f"{folder}: holds a run already; continue it with resume={folder}, or choose another folder")
@@ -269,8 +259,8 @@ def _saved_config(folder: Path, trust: Collection[str]) -> TrainConfig:
 
 def _changes(config: TrainConfig, saved: TrainConfig) -> list[str]:
     """Return the options that differ from the saved ones and change a result: ``name=saved instead of requested``."""
-    asked, before = leaves(plain(config)), leaves(plain(saved))
-    same = ("existing", "source.root", "checkpoint.", "logger.")
+    asked, before = leaves(asdict(config)), leaves(asdict(saved))
+    same = ("out", "resume", "trust", "existing", "source.root", "checkpoint.", "logger.")
     return [
         f"{name}={before.get(name)} instead of {value}"
         for name, value in asked.items()

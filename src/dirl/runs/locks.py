@@ -18,7 +18,8 @@ NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 """What file systems answer that have no locks; those that do not know the call at all, ``filelock`` sees to."""
 
 TIME = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d")
-"""The name that a recipe gives a folder by itself: the second it began in."""
+"""The name that a recipe gives a folder by itself: the second it began in. As nobody has chosen it, a run in such a
+folder, or a job of a sweep in one, gets a number where the folder is another's."""
 
 
 class RunningError(RunError):
@@ -72,11 +73,6 @@ def _release(lock: FileLock, file: Path, owner: int) -> None:
         lock.release(force=True)
 
 
-def is_numbered(folder: Path) -> bool:
-    """Return True if a run or job gets a number where its folder is another's: nobody has chosen its name."""
-    return any(TIME.fullmatch(name) for name in (folder.name, folder.parent.name))
-
-
 def claim(folder: Path) -> tuple[Path, FolderLock]:
     """Lock a folder for a new run, or, where a run gets a number (``<folder>-2``), the first of its name that is free.
 
@@ -85,7 +81,7 @@ def claim(folder: Path) -> tuple[Path, FolderLock]:
         OSError: it cannot be made, or written to.
     """
     problem = RunError(f"{folder}: holds a run already; choose another folder")
-    numbers = count(2) if is_numbered(folder) else ()
+    numbers = count(2) if any(map(TIME.fullmatch, folder.parts[-2:])) else ()
     for candidate in chain([folder], (folder.with_name(f"{folder.name}-{number}") for number in numbers)):
         candidate.mkdir(parents=True, exist_ok=True)
         try:

@@ -4,12 +4,13 @@ import math
 import os
 import secrets
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
 import wandb
 
-from dirl.config.files import leaves, plain
+from dirl.config.files import leaves
 from dirl.config.schemas import ConfigError, TrainConfig
 from dirl.runs.checkpoints import Summary
 from dirl.scenes.io.files import read_text, write_text
@@ -38,7 +39,7 @@ class WandbLogger:
                 name=folder.name,
                 id=read_text(known).strip(),
                 resume="allow",
-                config=plain(config),
+                config=asdict(config),
                 dir=str(folder),
                 mode=mode,
                 settings=wandb.Settings(silent=True),  # the last line of a run is its own: how to resume it

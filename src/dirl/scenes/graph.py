@@ -69,7 +69,13 @@ def check_graph(graph: IntArray) -> None:
     bad = alive[graph[turned, LEFT] != alive]
     if len(bad):
         raise GraphError(f"state {bad[0]}: turning right and back does not return to it; {ORDER_HINT}")
-    rings = _ring_lengths(graph, alive)
+    rings = np.zeros(len(alive), np.int64)  # how many right turns bring each state back; 0 = more than MAX_TURNS
+    at = alive
+    for turns in range(1, MAX_TURNS + 1):
+        at = graph[at, RIGHT]
+        rings[(at == alive) & (rings == 0)] = turns
+        if rings.all():
+            break
     odd = alive[(rings % 4 != 0) | (rings != rings[0]) | (rings == 0)]
     if len(odd):
         here, first = (length or f"more than {MAX_TURNS}" for length in (rings[alive == odd[0]][0], rings[0]))
@@ -79,22 +85,13 @@ def check_graph(graph: IntArray) -> None:
         )
 
 
-def _ring_lengths(graph: IntArray, alive: IntArray) -> IntArray:
-    """Return how many right turns bring each of the states ``alive`` back, int64; 0 = more than `MAX_TURNS`."""
-    lengths = np.zeros(len(alive), np.int64)
-    at = alive
-    for turns in range(1, MAX_TURNS + 1):
-        at = graph[at, RIGHT]
-        lengths[(at == alive) & (lengths == 0)] = turns
-        if lengths.all():
-            break
-    return lengths
-
-
 def turns_per_circle(graph: IntArray) -> int:
-    """Return the number of right turns in a full circle: 4 if a turn is 90 degrees, 12 if it is 30."""
-    alive = np.flatnonzero((graph >= 0).any(1))
-    return int(_ring_lengths(graph, alive[:1])[0])
+    """Return the right turns in a full circle of a checked graph: 4 if a turn is 90 degrees, 12 if it is 30."""
+    first = np.argmax((graph >= 0).any(1))  # the first state that has moves
+    state, turns = graph[first, RIGHT], 1
+    while state != first:
+        state, turns = graph[state, RIGHT], turns + 1
+    return turns
 
 
 def turns_only(places: int, headings: int) -> IntArray:

@@ -308,7 +308,6 @@ class Updates:
         self.state.left.fill_(1 - self.frames / self.total)
         # tqdm drops a bar that is more than full.
         self.bar.update(min(report.frames * len(self.runs), self.bar.total - self.bar.n))
-        self.bar.set_postfix_str(f"ATL {self.members[0].meter.atl:.1f}", refresh=False)
 
     def _read(self, later: int = 0) -> None:
         """Read the reports, but for so many; count their updates, and write rows."""
@@ -327,6 +326,7 @@ class Updates:
                     rate = state.optimiser.defaults["lr"] * (1 - before / self.total)
                     row = {"frames": frames, "seconds": state.seconds, "frames_per_second": frames / state.seconds}
                     row |= {**meter.measures(config.reinforcement.max_steps), "lr": rate}
+                    self.bar.set_postfix_str(f"ATL {row['atl']:.1f}", refresh=False)
                     run.write("reinforcement", frames, row | own.values)
             self.began = now
 

@@ -108,7 +108,18 @@ class Losses(nn.Module):
 
         ``reduce`` makes one number of what the loss of a name gives for each row, if it is not reduced.
         """
-        batch, rows = self._with_hidden(batch, rows)
+        keys = self.trunk.in_keys
+        # All rows go through the trunk in one pass, unless a memory needs the batch as episodes.
+        if self.recurrent:
+            with set_recurrent_mode(True):
+                batch = self.trunk(batch.copy()).reshape(-1)
+            rows = None if rows is None else self.trunk(rows.copy())
+        elif rows is None:
+            batch.set("hidden", self.trunk(batch.select(*keys))["hidden"])
+        else:
+            hidden = self.trunk(torch.cat([batch.select(*keys), rows.select(*keys)]))["hidden"]
+            batch.set("hidden", hidden[: len(batch)])
+            rows = rows.copy().set("hidden", hidden[len(batch) :])
         result = TensorDict()
         for name, loss in self.losses.items():
             weight = coefficients[name]["weight"]
@@ -147,21 +158,6 @@ class Losses(nn.Module):
                     raise ConfigError(f"losses.{name}: reward() gives {list(reward.shape)}; expected {list(shape)}")
                 batch["next", "reward"] = reward
         return batch
-
-    def _with_hidden(
-        self, batch: TensorDictBase, rows: TensorDictBase | None
-    ) -> tuple[TensorDictBase, TensorDictBase | None]:
-        """Return the batch, flat, and the demonstrations, both with ``hidden``."""
-        keys = self.trunk.in_keys
-        if self.recurrent:
-            with set_recurrent_mode(True):
-                batch = self.trunk(batch.copy()).reshape(-1)
-            return batch, None if rows is None else self.trunk(rows.copy())
-        if rows is None:
-            return batch.set("hidden", self.trunk(batch.select(*keys))["hidden"]), None
-        hidden = self.trunk(torch.cat([batch.select(*keys), rows.select(*keys)]))["hidden"]
-        batch.set("hidden", hidden[: len(batch)])
-        return batch, rows.copy().set("hidden", hidden[len(batch) :])
 
 
 def demonstration_batches(

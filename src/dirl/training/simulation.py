@@ -17,7 +17,7 @@ from dirl.evaluation.live_episodes import Remembered, evaluate_live
 from dirl.models import plain_weights
 from dirl.models.build import reads_patches
 from dirl.perception.backbones.registry import packaged_encoder
-from dirl.runs.folder import facts
+from dirl.runs.folder import checkpoint_facts
 from dirl.scenes import Scene
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.live import Noisy, Simulated, Simulator, shortest_move
@@ -82,7 +82,7 @@ def live_protocol(
     """
     scene = world.scenes[0]
     turns = turns_per_circle(scene.graph)
-    beside = facts(config, world, observation.order)
+    beside = checkpoint_facts(config, world, observation.order)
     trust, device = packages_to_trust(config), str(config.device)
     each = max(1, config.evaluation.live_episodes // len(world.goals))
     goal, start = sampled_starts(world, each, config.seed)

@@ -8,7 +8,7 @@ import hashlib
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from dirl.config.components import Options, make, tried
 from dirl.config.files import group_options
-from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.scenes.world import World
 
 FRONT_THRESHOLD = 0.95
@@ -351,12 +351,8 @@ class TemplateStop:
     """
 
     threshold: float = 0.9
-    match: str = "views"
+    match: Literal["views", "front"] | Match = "views"
     recogniser: Recogniser = field(default_factory=NCC, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.match not in ("views", "front"):
-            raise ValueError(f"match is 'views' or 'front', not '{self.match}'")
 
     @torch.no_grad()  # a learned recogniser has weights
     def scores(self, world: World) -> Tensor:
@@ -393,13 +389,13 @@ def matching(config: TrainConfig, device: torch.device | str) -> TemplateStop:
     return stop_by(recogniser, config.stop.threshold, config.stop.match)
 
 
-def stop_by(recogniser: Recogniser, threshold: float, match: str) -> TemplateStop:
+def stop_by(recogniser: Recogniser, threshold: float, match: Match) -> TemplateStop:
     """Make the stop by a recogniser, above its own threshold or, if it has none, the one given."""
     if recogniser.thresholds is not None:
         threshold = recogniser.thresholds.photo if match == "front" else recogniser.thresholds.views
     return TemplateStop(threshold, match, recogniser)
 
 
-def chosen_stop(choice: str, threshold: float, match: str) -> TemplateStop:
+def chosen_stop(choice: str, threshold: float, match: Match) -> TemplateStop:
     """Make the stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
     return stop_by(build_recogniser(group_options("recogniser", choice) or {}), threshold, match)
