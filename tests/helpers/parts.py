@@ -36,13 +36,13 @@ def make_parts(*options):
 def train_state(parts, saved=None):
     """The state before the first update, or as it was saved."""
     run = SimpleNamespace(config=parts.config, saved=saved, folder="run")
-    return begin(run, parts.policy, parts.losses, parts.protocol)
+    return begin(run, parts.policy, parts.losses, parts.world, parts.observation)
 
 
 def train_in(folder, parts):
     """Imitate, reinforce and finish as the recipe does; the summary of the reinforcement."""
     run = Run(folder, parts.config)
-    state = begin(run, parts.policy, parts.losses, parts.protocol)
+    state = begin(run, parts.policy, parts.losses, parts.world, parts.observation)
     run.begin(parts.world, parts.observation.order)
     if len(parts.demos):
         imitate([run], parts.policy, [parts.demos])

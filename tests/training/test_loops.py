@@ -12,6 +12,7 @@ from train import imitate, learn, reinforce, train
 from dirl.runs.checkpoints import training_checkpoints
 from dirl.runs.folder import Run
 from dirl.training.job import build_components, run_stages
+from dirl.training.loops import dagger_rounds
 
 SMALL = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "reinforcement.max_steps=9"]
 KINDS = {
@@ -132,3 +133,14 @@ def test_a_reinforcement_after_dagger_tells_its_own_frames(tmp_path):
     told = train(run, components)
     assert told["frames"] == components.state.frames == 60
     assert (tmp_path / "run" / "dagger.csv").read_text().splitlines()[1].split(",")[:2] == ["1", "120"]
+
+
+def test_a_training_walks_to_all_its_goals_though_few_are_evaluated(tmp_path):
+    options = ["goals=all", "evaluation.goals=2", "imitation.rounds=1", "imitation.max_steps=3"]
+    run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
+    components = build_components(run)
+    run.begin(components.world, components.protocol.observation.order)
+    walked = components.state.env.base_env.world.goals
+    assert (len(walked), len(components.protocol.world.goals)) == (len(components.world), 2)
+    (labelled, _) = next(dagger_rounds(run, components, components.demos))
+    assert len(labelled["goal"].unique()) > 2

@@ -18,6 +18,7 @@ from dirl.config.components import check_components, make, packages_to_trust
 from dirl.config.files import typed
 from dirl.config.folders import command
 from dirl.config.schemas import Device, Precision, Starts
+from dirl.envs import SurroundingViews
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess
 from dirl.models import ActorCritic, plain_weights
 from dirl.perception.recognition.recogniser import matching
@@ -27,6 +28,7 @@ from dirl.runs.exits import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
 from dirl.scenes.io.files import read_text, write_json
 from dirl.scenes.live import SimulatorError
+from dirl.scenes.world import World
 from dirl.training.build import (
     build_demonstrations,
     build_env,
@@ -49,11 +51,13 @@ from dirl.training.pairs import Demonstrations
 class Components:
     """What a configuration is made into."""
 
+    world: World
+    """With the goals of the training."""
     policy: ActorCritic
     """See `dirl.models.ActorCritic`."""
     demos: Demonstrations
     protocol: EvaluationProtocol
-    """Where and how the policy is evaluated; its world and observation are those of the training."""
+    """How the policy is evaluated: with the observation of the training, on all its goals or on some of them."""
     state: TrainState | None
     """Of the reinforcement; None if the run has none."""
     before_reinforcement: bool
@@ -102,7 +106,7 @@ def run_one(composed: DictConfig, folder: Path, overrides: list[str], stages: St
             summary: Facts = json.loads(read_text(run.folder / "summary.json"))
             return summary
         components = build_components(run, initial)
-        run.begin(components.protocol.world, components.protocol.observation.order)
+        run.begin(components.world, components.protocol.observation.order)
     with one_line_exits(run.how_to_go_on) if alone else nullcontext():
         return run_stages(run, components, stages)
 
@@ -137,7 +141,7 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
     ``initial`` is the checkpoint that ``init`` names, if it has been read. With ``like``, those of another run in the
     same world, what does not depend on the run is shared.
     """
-    world = build_world(run.config) if like is None else like.protocol.world
+    world = build_world(run.config) if like is None else like.world
     observation = build_observation(run.config, world)
     weights = None
     if run.config.init is not None:
@@ -156,20 +160,20 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
 
         live = open_live(run.config, world, observation)
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
-    state = begin(run, policy, losses, protocol) if losses is not None and losses.on_rollouts else None
+    state = begin(run, policy, losses, world, observation) if losses is not None and losses.on_rollouts else None
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
     before_reinforcement = run.saved is None or "imitation" in run.saved
-    return Components(policy, demos, protocol, state, before_reinforcement)
+    return Components(world, policy, demos, protocol, state, before_reinforcement)
 
 
-def begin(run: Run, policy: ActorCritic, losses: Losses, protocol: EvaluationProtocol) -> TrainState:
+def begin(run: Run, policy: ActorCritic, losses: Losses, world: World, observation: SurroundingViews) -> TrainState:
     """Return the state of a reinforcement before its first update, or from the checkpoint that the run continues."""
     trained = trained_parameters(policy, losses)
     optimiser = make("optimiser", run.config.optimiser, run.config.trust, params=trained)
-    env = build_env(run.config, protocol.world, protocol.observation, policy)
-    meter = EpisodeMeter(len(protocol.world.goals))
+    env = build_env(run.config, world, observation, policy)
+    meter = EpisodeMeter(len(world.goals))
     state = TrainState(run.config, policy, losses, trained, optimiser, env, env.reset(), meter)
     if run.saved is not None and "imitation" not in run.saved:
         with restoring(run.folder):

@@ -303,7 +303,8 @@ class Updates:
                 if evaluates:
                     write_evaluations(self.runs, self.state.policy, self.protocols, self.frames)
                 if saves:
-                    self.save()
+                    for run, state in zip(self.runs, self.members, strict=True):
+                        run.save(state.state_dict())
             self.began = time.perf_counter()
         self.state.left.fill_(1 - self.frames / self.total)
         # tqdm drops a bar that is more than full.
@@ -330,11 +331,6 @@ class Updates:
                     run.write("reinforcement", frames, row | own.values)
             self.began = now
 
-    def save(self) -> None:
-        """Save the runs, all after the same update."""
-        for run, state in zip(self.runs, self.members, strict=True):
-            run.save(state.state_dict())
-
 
 @contextmanager
 def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProtocol]) -> Iterator[Updates]:
@@ -350,7 +346,8 @@ def updates(state: Any, runs: Sequence[Run], protocols: Sequence[EvaluationProto
         loop = Updates(state, members, runs, protocols, total, frames, bar, signals)
         yield loop
         if signals and not loop.done:
-            loop.save()
+            for run, member in zip(runs, members, strict=True):
+                run.save(member.state_dict())
             bar.close()
             leave("interrupted", 128 + signals[0], lambda: how_to_go_on(runs))
 
@@ -373,9 +370,8 @@ def dagger_rounds(run: Run, parts: Any, demos: Demonstrations) -> Iterator[tuple
     options, policy, protocol = run.config.imitation, parts.policy, parts.protocol
     if options.rounds == 0:
         return
-    world = protocol.world
-    env, operator = build_env(run.config, world, protocol.observation, policy), policy.operator()
-    expert = build_expert(run.config, world)
+    env, operator = build_env(run.config, parts.world, protocol.observation, policy), policy.operator()
+    expert = build_expert(run.config, parts.world)
     agents, frames = env.reset(), 0
     for number in range(1, options.rounds + 1):
         batch, agents = collect(env, operator, agents, options.walk_steps)

@@ -59,7 +59,7 @@ class Job:
 
 def why_alone(config: TrainConfig, components: Components) -> str | None:
     """Return what keeps a run from being trained in a stack, in words; None if nothing does."""
-    state, world = components.state, components.protocol.world
+    state, world = components.state, components.world
     if state is None:
         return "it learns nothing by reinforcement"
     options, imitation, losses = config.reinforcement, config.imitation, state.losses.losses.values()
@@ -113,7 +113,7 @@ def run_together(
                 fixed["seed"] = run.config.seed
             kind = json.dumps(fixed, default=str, sort_keys=True)
             components = build_components(run, initial, of_kind.get(kind))
-            run.begin(components.protocol.world, components.protocol.observation.order)
+            run.begin(components.world, components.protocol.observation.order)
             if (reason := why_alone(run.config, components)) is not None:
                 print(f"by itself: {run.folder}: {reason}", flush=True)
                 results[number] = run_stages(run, components, train)
@@ -175,7 +175,7 @@ class Stack:
         self.members: list[Any] = [components.state for components in every]
         """Their states, `TrainState`."""
         first, demos = self.members[0], [components.demos for components in every]
-        self.world, observation = every[0].protocol.world, every[0].protocol.observation
+        self.world, observation = every[0].world, every[0].protocol.observation
         self.device = first.env.device
         self.config = with_tensors([state.config for state in self.members], self.device)
         # What is asked of a policy, `operator` and ``cached`` (`dirl.models.caching`), the stack has for all runs.
@@ -339,9 +339,10 @@ class Stack:
         every_goal, every_start = zip(*(protocol.starts for protocol in protocols), strict=True)
         together = replace(protocols[0], starts=(torch.cat(every_goal), torch.cat(every_start)))
         episodes = len(every_start[0])  # of each run; those of the first come first
+        goal_index = world.goal_index[together.world.goals]  # of those that are evaluated
 
         def decide(episode: Tensor, ahead: Tensor, _: Tensor, wanted: Tensor) -> Tensor:
-            return logits[episode // episodes, world.pair(wanted, ahead)]
+            return logits[episode // episodes, world.pair(goal_index[wanted], ahead)]
 
         policies: Any = SimpleNamespace(decide=decide)  # each is asked in its own episodes
         kinds = [together.run(policies)]
