@@ -75,7 +75,10 @@ CASES = [
     (instead("rotation", np.where(np.arange(24) == 8, np.nan, 0)), "rotation: state 8 holds a value that is not finit"),
     (instead("resnet_feature", np.full((24, 8), 1e38)), "resnet_feature: state 0 holds a value that is not finite, or"),
     (instead("shortest_path_distance", np.zeros((24, 5))), "shortest_path_distance: expected shape (24, 24), found (2"),
-    (instead("observation", np.zeros((24, 3, 4, 3), "u2")), "observation: expected uint8 pixels, found uint16"),
+    (
+        instead("observation", np.zeros((24, 3, 4, 3), "u2")),
+        "observation: expected uint8, 1 to 16777216 pixels a v",
+    ),
     (views(POSTSCRIPT), "observation_webp: state 23: not a readable image (it is not WebP, PNG or JPEG)"),
     (views(picture("PNG", (4096, 4097), "1")), "observation_webp: state 23: not a readable image (4096x4097 pixels ar"),
     (attribute("goals", [3, 24]), "goal 24 is not a state; states are 0..23"),
@@ -99,7 +102,10 @@ CASES = [
 ABSURD = [
     (hollow("graph", (HUGE, 4), "i4"), "graph: 1099511627776 states are more than the 50000 this package can hold"),
     (hollow("resnet_feature", (24, HUGE)), "resnet_feature: expected shape (states, features) or (states, crops, feat"),
-    (hollow("observation", (24, HUGE, 4, 3), "u1"), "observation: expected 1 to 16777216 pixels a view, found shape"),
+    (
+        hollow("observation", (24, HUGE, 4, 3), "u1"),
+        "observation: expected uint8, 1 to 16777216 pixels a view",
+    ),
 ]
 
 

@@ -97,21 +97,25 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
     missing = [key for key in ("graph", "location", "rotation") if key not in file]
     if missing:
         raise SceneError(f"the dataset '{missing[0]}' is missing; the file holds {_short(sorted(file), str)}")
-    graph = _open_dataset(file, "graph", "iu", (None, 4))
-    states = len(graph)
+    states = len(_open_dataset(file, "graph", "iu", (None, 4)))
     if states > MAX_STATES:
         raise SceneError(f"graph: {states} states are more than the {MAX_STATES} this package can hold")
-    location = _open_dataset(file, "location", "iuf", (states, 2))
-    rotation = _open_dataset(file, "rotation", "iuf", (states,))
-    for dataset in (graph, location, rotation):
-        _check_storage(dataset)
-    features = _open_features(file, states)
-    views = _open_views(file, states)
-    mapped = _locate_mapped(file, path, states)
-    if "shortest_path_distance" in file:  # never used, but the digest is over it
-        _check_storage(_open_dataset(file, "shortest_path_distance", "iuf", (states, states)))
+    datasets = _open_datasets(file, states)
+    # Where the arrays lie that are memory-mapped, named as in `Scene`: the first byte, the shape and the type of each.
+    mapped: dict[str, tuple[int, list[int], str]] = {}
+    for array, name in STORED.items():
+        if name not in datasets:
+            continue
+        dataset = datasets[name]
+        offset: int | None = dataset.id.get_offset()
+        if offset is None:
+            raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
+        if offset + dataset.nbytes > path.stat().st_size:
+            raise SceneError(f"{name}: the file ends before they do; it is damaged")
+        mapped[array] = (offset, list(dataset.shape), dataset.dtype.str)
     verified = intact or check_digest(file)
     values: NDArray[np.floating] | None = None
+    features = datasets.get("resnet_feature")
     if features is not None:
         offset = features.id.get_offset() if verified and features.dtype in (np.float16, np.float32) else None
         if offset is not None:  # mapped like the others: a world copies them, and then they need no memory
@@ -121,10 +125,11 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
             values = np.empty((states, features.shape[-1]), kind)
             for rows in blocks(features):
                 values[rows] = features[rows, 0] if features.ndim == 3 else features[rows]
+    views = datasets.get("observation_webp", datasets.get("observation"))
     return {
-        "graph": _in_our_order(graph[:], file.attrs.get("actions")),
-        "positions": location[:],
-        "headings": rotation[:],
+        "graph": _in_our_order(datasets["graph"][:], file.attrs.get("actions")),
+        "positions": datasets["location"][:],
+        "headings": datasets["rotation"][:],
         "features": values,
         "extractor": "none"
         if features is None
@@ -137,18 +142,56 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
     }
 
 
-def _open_features(file: h5py.File, states: int) -> h5py.Dataset | None:
-    if "resnet_feature" not in file:
-        return None
-    dataset = _open_dataset(file, "resnet_feature", "f", (states, None), (states, None, None))
-    reversed_ = dataset.ndim == 3 and dataset.shape[1] > dataset.shape[2]
-    if 0 in dataset.shape or states * dataset.shape[-1] > MAX_FEATURE_VALUES or reversed_:
-        raise SceneError(
-            "resnet_feature: expected shape (states, features) or (states, crops, features), fewer crops than features "
-            f"and {MAX_FEATURE_VALUES} features of all states at most, found {dataset.shape}"
-        )
-    _check_storage(dataset)
-    return dataset
+def _open_datasets(file: h5py.File, states: int) -> dict[str, h5py.Dataset]:
+    """Return the datasets of a dump by name. Types, shapes and sizes are checked, and that all values were written.
+
+    No value is read. How they are packed is not looked at: what takes too much memory or time ends the process that
+    reads them.
+    """
+    expected: dict[str, tuple[Any, ...]] = {  # kinds of values, and shapes
+        "graph": ("iu", (states, 4)),
+        "location": ("iuf", (states, 2)),
+        "rotation": ("iuf", (states,)),
+        "resnet_feature": ("f", (states, None), (states, None, None)),
+        "observation_webp": ("O", (states,)),
+        "observation": ("u", (states, None, None, 3)),
+        "patches": ("f", (states, None, None)),
+        "look_feature": ("f", (None, states, None)),
+        "look_patches": ("f", (None, states, None, None)),
+        "along_feature": ("f", (states, None)),
+        "toward": ("f", (2, states, states)),
+        "shortest_path_distance": ("iuf", (states, states)),  # never used, but the digest is over it
+    }
+    datasets = {name: _open_dataset(file, name, *own) for name, own in expected.items() if name in file}
+    if "resnet_feature" in datasets:
+        shape = datasets["resnet_feature"].shape
+        reversed_ = len(shape) == 3 and shape[1] > shape[2]
+        if 0 in shape or states * shape[-1] > MAX_FEATURE_VALUES or reversed_:
+            raise SceneError(
+                "resnet_feature: expected shape (states, features) or (states, crops, features), fewer crops than "
+                f"features and {MAX_FEATURE_VALUES} features of all states at most, found {shape}"
+            )
+    for name in [name for name in STORED.values() if name in datasets]:
+        kind, shape = datasets[name].dtype, datasets[name].shape
+        if kind != np.float16 or 0 in shape or math.prod(shape) > MAX_VALUES:
+            raise SceneError(f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {kind} {shape}")
+    if "look_patches" in datasets and "look_feature" not in datasets:
+        raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
+    if "observation_webp" in datasets and h5py.check_vlen_dtype(datasets["observation_webp"].dtype) != np.uint8:
+        raise SceneError("observation_webp: expected byte strings (variable-length uint8)")
+    if "observation" in datasets:
+        kind, shape = datasets["observation"].dtype, datasets["observation"].shape
+        if kind != np.uint8 or not 0 < shape[1] * shape[2] <= MAX_PIXELS:
+            raise SceneError(f"observation: expected uint8, 1 to {MAX_PIXELS} pixels a view, found {kind} {shape}")
+    for name, dataset in datasets.items():
+        if dataset.chunks:
+            count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+            complete = dataset.id.get_num_chunks() >= count
+        else:
+            complete = dataset.id.get_storage_size() > 0 or not dataset.size
+        if not complete:
+            raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
+    return datasets
 
 
 def _goals(declared: object, states: int) -> list[int]:
@@ -210,85 +253,12 @@ def _open_dataset(file: h5py.File, name: str, kinds: str, *shapes: tuple[int | N
     return dataset
 
 
-def _check_storage(dataset: h5py.Dataset) -> None:
-    """Raise `SceneError` unless all of a dataset's values have been written.
-
-    How they are packed is not looked at: what takes too much memory or time ends the process that reads them.
-    """
-    if dataset.chunks:
-        count = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
-        complete = dataset.id.get_num_chunks() >= count
-    else:
-        complete = dataset.id.get_storage_size() > 0 or not dataset.size
-    if not complete:
-        name = dataset.name.removeprefix("/")
-        raise SceneError(f"{name}: some of its values were never written; was its making stopped?")
-
-
 def _short(value: object, show: Callable[[object], str] = repr) -> str:
     """Return a value of a file for a message, on one line, as Python's own type where it is NumPy's."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     text = " ".join(show(value).split())
     return text if len(text) <= 60 else f"{text[:60]}..."
-
-
-def _locate_mapped(file: h5py.File, path: Path, states: int) -> dict[str, tuple[int, list[int], str]]:
-    """Locate what is large: patches, features and patches of further looks, what tells where arrows lead.
-
-    Named as in `Scene`. Of each the first byte, the shape and the type. They are float16 and in one piece, so that
-    those of many scenes can be memory-mapped.
-    """
-    shapes: dict[str, tuple[int | None, ...]] = {
-        "patches": (states, None, None),
-        "look_features": (None, states, None),
-        "look_patches": (None, states, None, None),
-        "along": (states, None),
-        "toward": (2, states, states),
-    }
-    located: dict[str, tuple[int, list[int], str]] = {}
-    for array, name in STORED.items():
-        if name not in file:
-            continue
-        dataset = _open_dataset(file, name, "f", shapes[array])
-        if dataset.dtype != np.float16 or 0 in dataset.shape or dataset.size > MAX_VALUES:
-            raise SceneError(
-                f"{name}: expected float16 values, at most {MAX_VALUES} of them, found {dataset.dtype} {dataset.shape}"
-            )
-        _check_storage(dataset)
-        offset: int | None = dataset.id.get_offset()
-        if offset is None:
-            raise SceneError(f"{name}: are not stored in one piece (h5repack -f {name}:NONE -l {name}:CONTI does that)")
-        if offset + dataset.nbytes > path.stat().st_size:
-            raise SceneError(f"{name}: the file ends before they do; it is damaged")
-        located[array] = (offset, list(dataset.shape), dataset.dtype.str)
-    if "look_patches" in located and "look_features" not in located:
-        raise SceneError("look_patches: there is no look_feature; looks have features, and patches if the file has any")
-    return located
-
-
-def _open_views(file: h5py.File, states: int) -> h5py.Dataset | None:
-    """Return the checked dataset of views, encoded or raw; None if there is none."""
-    if "observation_webp" in file:
-        dataset = _open_dataset(file, "observation_webp", "O", (states,))
-        if h5py.check_vlen_dtype(dataset.dtype) != np.uint8:
-            raise SceneError("observation_webp: expected byte strings (variable-length uint8)")
-        _check_storage(dataset)
-        return dataset
-    if "observation" not in file:
-        return None
-    dataset = _open_dataset(file, "observation", "u", (states, None, None, 3))
-    if dataset.dtype != np.uint8:
-        raise SceneError(f"observation: expected uint8 pixels, found {dataset.dtype}")
-    if not 0 < dataset.shape[1] * dataset.shape[2] <= MAX_PIXELS:
-        raise SceneError(f"observation: expected 1 to {MAX_PIXELS} pixels a view, found shape {dataset.shape}")
-    _check_storage(dataset)
-    if dataset.chunks is not None and dataset.nbytes > MAX_UNPACKED_VIEWS:
-        raise SceneError(
-            f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
-            "stored in one piece (h5repack -l observation:CONTI)"
-        )
-    return dataset
 
 
 def _locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> Contents:
@@ -302,6 +272,11 @@ def _locate_views(dataset: h5py.Dataset, path: Path, *, decoded: bool) -> Conten
     start, size = dataset.id.get_offset(), dataset.nbytes // len(dataset)
     unpacked: NDArray[np.uint8] | None = None
     if start is None:  # in chunks
+        if dataset.nbytes > MAX_UNPACKED_VIEWS:
+            raise SceneError(
+                f"observation: {dataset.nbytes} bytes of raw views in chunks; more than {MAX_UNPACKED_VIEWS} must be "
+                "stored in one piece (h5repack -l observation:CONTI)"
+            )
         start, unpacked = 0, dataset[:]
     spans = np.stack([start + size * np.arange(len(dataset)), np.full(len(dataset), size)], 1)
     return {"view_dataset": name, "view_spans": spans, "view_shape": dataset.shape[1:3], "view_unpacked": unpacked}
