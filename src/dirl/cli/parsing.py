@@ -1,7 +1,7 @@
 """Command lines of ``name=value``, read by Hydra's grammar; errors of Hydra and OmegaConf in one line."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -71,7 +71,7 @@ def parse(schema: type[T], arguments: Sequence[str]) -> T:
         for text in arguments:
             override = parsed(text)
             name = override.key_or_group
-            check_option(name, known)
+            check_choice(f"option '{name}'", name, known)
             if override.is_delete() or override.is_sweep_override():
                 raise ConfigError(f"{text}: must be one value; a list is written as '{name}=[a,b]'")
             if is_dataclass(known[name]):
@@ -98,14 +98,6 @@ def parsed(text: str) -> Override:
         raise ConfigError(
             f"{text}: is not of the form name=value ({place}); quote a text with such signs: 'name=\"...\"'"
         ) from None
-
-
-def check_option(name: str, known: Mapping[str, object]) -> None:
-    """Raise `ConfigError` unless there is such an option; the last part of its name may be that of another group."""
-    near = [other for other in known if other.rpartition(".")[2] == name.rpartition(".")[2]]
-    if near and name not in known:
-        raise ConfigError(f"there is no option '{name}'; did you mean {' or '.join(near)}?")
-    check_choice(f"option '{name}'", name, known)
 
 
 def check_flags(arguments: Sequence[str]) -> None:
@@ -147,7 +139,7 @@ def prepare(arguments: Sequence[str]) -> list[str]:
         elif "." in name and group in GROUPS:
             prepared.append(text if text.startswith(("+", "~")) else f"++{text}")
         else:
-            check_option(name, known)
+            check_choice(f"option '{name}'", name, known)
             prepared.append(_constant(name, override) if known[name] in (Schedule, Weight) else text)
     return prepared
 

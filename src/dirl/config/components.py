@@ -289,11 +289,19 @@ def describe_error(error: Exception, cls: type) -> str:
 
 
 def check_choice(what: str, given: str, choices: Collection[str], prefix: str = "") -> None:
-    """Raise `ConfigError` unless there is such a choice; ``what`` names what is missing."""
-    if given not in choices:
-        near = difflib.get_close_matches(given, choices, n=1)
-        hint = f"did you mean {prefix}{near[0]}?" if near else f"choose from {', '.join(choices) or 'none'}"
-        raise ConfigError(f"there is no {what}; {hint}")
+    """Raise `ConfigError` unless there is such a choice; ``what`` names what is missing.
+
+    Suggested are those that end in the same name, as an option of another group does; else the one most alike.
+    """
+    if given in choices:
+        return
+    last = given.rpartition(".")[2]
+    near = [choice for choice in choices if choice.rpartition(".")[2] == last]
+    near = near or difflib.get_close_matches(given, choices, n=1)
+    hint = f"choose from {', '.join(choices) or 'none'}"
+    if near:
+        hint = f"did you mean {' or '.join(prefix + choice for choice in near)}?"
+    raise ConfigError(f"there is no {what}; {hint}")
 
 
 def check_value(name: str, value: object, annotation: Any) -> None:
