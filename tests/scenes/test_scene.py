@@ -63,8 +63,8 @@ def test_a_goal_no_state_leads_to_is_refused(scene):
     graph = np.concatenate([scene.graph, np.full((1, 4), -1)])
     spare = {"positions": np.zeros((25, 2)), "headings": np.zeros(25), "features": None}
     made = Scene(**parts(graph=graph, **spare))
-    made.check_goal(23)
-    refused("here: goal 24 cannot be reached from any other state", made.check_goal, 24)
+    made.check_goals([23])
+    refused("here: goal 24 cannot be reached from any other state", made.check_goals, [24])
     refused("here: goal 24 cannot be reached from any other state", Scene, **parts(graph=graph, goals=(0, 24), **spare))
 
 

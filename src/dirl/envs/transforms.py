@@ -59,18 +59,17 @@ class SurroundingViews(Transform):
         """Return the view ids after a step to where ``picture`` is seen, int64 ``[...]``, given those before it."""
         return self.reset_view_ids(picture)
 
-    def _picture(self, tensordict: TensorDictBase, state: str, look: str) -> Tensor:
-        """Return the view id of a state in the look that was sampled; the state itself where there is one look."""
-        picture: Tensor = tensordict[state]
-        return picture if self.pictures == self.states else picture + self.states * tensordict[look]
+    # A world that never changes samples no looks: all are in look 0.
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        tensordict_reset["view_ids"] = self.reset_view_ids(self._picture(tensordict_reset, "state", "look"))
-        tensordict_reset["goal_view_ids"] = self.goal_view_ids(self._picture(tensordict_reset, "goal", "goal_look"))
+        picture = tensordict_reset["state"] + self.states * tensordict_reset.get("look", 0)
+        goal_picture = tensordict_reset["goal"] + self.states * tensordict_reset.get("goal_look", 0)
+        tensordict_reset["view_ids"] = self.reset_view_ids(picture)
+        tensordict_reset["goal_view_ids"] = self.goal_view_ids(goal_picture)
         return tensordict_reset
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        picture = self._picture(next_tensordict, "state", "look")
+        picture = next_tensordict["state"] + self.states * next_tensordict.get("look", 0)
         next_tensordict["view_ids"] = self.step_view_ids(tensordict["view_ids"], picture)
         next_tensordict["goal_view_ids"] = tensordict["goal_view_ids"]
         return next_tensordict

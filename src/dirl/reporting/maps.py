@@ -53,7 +53,7 @@ def draw_policy(
     Raises:
         ValueError: the goal is no state that can be reached.
     """
-    scene.check_goal(goal)
+    scene.check_goals([goal])
     chances = softmax(np.asarray(logits, float), 1)
     values, scores = (np.asarray(each, float) for each in (value, matching))
     side, half = scene.step_length, 180 / turns_per_circle(scene.graph)

@@ -78,7 +78,7 @@ def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title
         ValueError: the path is empty or makes a step that the scene's graph does not allow, or the goal is no state
             that can be reached.
     """
-    scene.check_goal(goal)
+    scene.check_goals([goal])
     steps = len(path) - 1
     actions = [*path_actions(scene, path), "goal reached" if success else "failed"]
     shown = [*range(min(steps, MAX_FRAMES - 1)), steps]

@@ -63,7 +63,7 @@ def draw_trajectories(
         ValueError: a path is empty or makes a step that the scene's graph does not allow, or the goal is no state that
             can be reached.
     """
-    scene.check_goal(goal)
+    scene.check_goals([goal])
     for path in paths:
         path_actions(scene, path)
     sides = np.ptp(scene.positions, axis=0) + 2 * scene.step_length

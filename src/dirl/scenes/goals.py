@@ -86,8 +86,7 @@ def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
     if rule is None:
         return scene.goals
     states = tuple(rule) if isinstance(rule, Sequence) else (rule,)
-    for goal in states:
-        scene.check_goal(goal)
+    scene.check_goals(states)
     return states
 
 

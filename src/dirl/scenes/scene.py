@@ -1,6 +1,7 @@
 """A scene: one room as a graph of states, each a location and a heading with one camera view."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -129,8 +130,7 @@ class Scene:
             check_image(np.asarray(self.views[0]), f"{self.origin}: views[0]")
         for name, array in arrays.items():
             object.__setattr__(self, name, _read_only(array))
-        for goal in self.goals:
-            self.check_goal(goal)
+        self.check_goals(self.goals)
 
     def __repr__(self) -> str:
         features = "no features" if self.features is None else f"features [{', '.join(map(str, self.features.shape))}]"
@@ -189,22 +189,18 @@ class Scene:
         x, z = (self.positions[self.graph[states, AHEAD]] - self.positions[states]).T
         return states, z + 1j * x
 
-    @cached_property
-    def _entered(self) -> NDArray[np.bool_]:
-        """Whether a move from another state leads to each state, bool ``[N]``."""
+    def check_goals(self, goals: Iterable[int]) -> None:
+        """Raise `SceneError` unless each goal is a state that some other state can reach."""
         start, action = np.nonzero((self.graph >= 0) & (self.graph != np.arange(len(self))[:, None]))
-        entered = np.zeros(len(self), bool)
+        entered = np.zeros(len(self), bool)  # by a move from another state
         entered[self.graph[start, action]] = True
-        return entered
-
-    def check_goal(self, goal: int) -> None:
-        """Raise `SceneError` unless ``goal`` is a state that some other state can reach."""
-        if isinstance(goal, bool) or not isinstance(goal, int | np.integer):
-            raise SceneError(f"{self.origin}: goal {goal!r} is not a state; states are integers")
-        if not 0 <= goal < len(self):
-            raise SceneError(f"{self.origin}: goal {goal} is not a state; states are 0..{len(self) - 1}")
-        if not self._entered[goal]:
-            raise SceneError(f"{self.origin}: goal {goal} cannot be reached from any other state")
+        for goal in goals:
+            if isinstance(goal, bool) or not isinstance(goal, int | np.integer):
+                raise SceneError(f"{self.origin}: goal {goal!r} is not a state; states are integers")
+            if not 0 <= goal < len(self):
+                raise SceneError(f"{self.origin}: goal {goal} is not a state; states are 0..{len(self) - 1}")
+            if not entered[goal]:
+                raise SceneError(f"{self.origin}: goal {goal} cannot be reached from any other state")
 
     def _array(self, name: str, value: object, kind: type, shape: tuple[int | None, ...]) -> np.ndarray:
         array = np.asarray(value)

@@ -228,8 +228,7 @@ def _goal_tables(scenes: Sequence[Scene], offsets: Sequence[int], goals: Goals) 
         states = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
         if not states:
             raise SceneError(f"{scene.origin}: names no goals; choose some, e.g. goals=[0,{len(scene) // 2}]")
-        for goal in states:
-            scene.check_goal(goal)
+        scene.check_goals(states)
         if len(set(states)) < len(states):
             raise SceneError(f"{scene.name}: a goal is named twice in {states}")
         if scene.toward is not None:
