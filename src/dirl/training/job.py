@@ -4,7 +4,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -76,42 +76,38 @@ Stages = Callable[[Run, Components], Facts]
 """Trains the policy; returns what the summary says of it."""
 
 
-def run_job(composed: DictConfig, stages: Stages) -> Facts:
-    """Run one job of Hydra: alone, or of a sweep, in which an error fails the job and the others run.
+def run_job(composed: DictConfig, stages: Stages, folder: Path | None = None, overrides: Sequence[str] = ()) -> Facts:
+    """Run a job: build its components before anything is written, then run the stages; return the summary.
 
-    The stages train; what is returned is the summary.
+    It is that of Hydra, unless its folder is given and the options that it was composed with. If a run of Hydra alone
+    goes wrong, the program ends with one line. Other errors are raised: one of a sweep fails its job, and others run.
     """
-    hydra: Any = HydraConfig.get()
-    folder = Path(hydra.runtime.output_dir)
-    folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
-    alone = hydra.mode.name != "MULTIRUN"
+    alone = sweep = False
+    if folder is None:
+        hydra: Any = HydraConfig.get()
+        folder, overrides = Path(hydra.runtime.output_dir), hydra.overrides.task
+        folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+        sweep = hydra.mode.name == "MULTIRUN"
+        alone = not sweep
     try:
-        return run_one(composed, folder, hydra.overrides.task, stages, alone=alone)
+        # Hydra would say something of its own about an error before `dirl.cli.start.run` does.
+        with one_line_exits(lambda: "nothing was trained", folder) if alone else nullcontext():
+            run, initial = open_job(composed, folder, overrides)
+            if is_finished(run.folder):  # and ``existing=keep``
+                print(f"finished before: {run.folder}")
+                summary: Facts = json.loads(read_text(run.folder / "summary.json"))
+                return summary
+            components = build_components(run, initial)
+            run.begin(components.world, components.protocol.observation.order)
+        with one_line_exits(run.how_to_go_on) if alone else nullcontext():
+            return run_stages(run, components, stages)
     except Exception as error:
-        if not alone:  # Hydra runs the other jobs, and says only at the end why the first of the failed ones failed
+        if sweep:  # Hydra runs the other jobs, and says only at the end why the first of the failed ones failed
             print(f"failed: {folder}: {error}", file=sys.stderr, flush=True)
         raise
 
 
-def run_one(composed: DictConfig, folder: Path, overrides: list[str], stages: Stages, *, alone: bool = False) -> Facts:
-    """Build the components before anything is written; then run the stages, and return the summary.
-
-    A run that is ``alone`` ends the program with one line if something is wrong; others raise.
-    """
-    # Hydra would say something of its own about an error before `dirl.cli.start.run` does.
-    with one_line_exits(lambda: "nothing was trained", folder) if alone else nullcontext():
-        run, initial = open_job(composed, folder, overrides)
-        if is_finished(run.folder):  # and ``existing=keep``
-            print(f"finished before: {run.folder}")
-            summary: Facts = json.loads(read_text(run.folder / "summary.json"))
-            return summary
-        components = build_components(run, initial)
-        run.begin(components.world, components.protocol.observation.order)
-    with one_line_exits(run.how_to_go_on) if alone else nullcontext():
-        return run_stages(run, components, stages)
-
-
-def open_job(composed: DictConfig, folder: Path, overrides: list[str]) -> tuple[Run, State | None]:
+def open_job(composed: DictConfig, folder: Path, overrides: Sequence[str]) -> tuple[Run, State | None]:
     """Return the run of a job, new or to be continued, and the checkpoint that ``init`` names, if it was read."""
     config, initial = typed(composed), None
     if config.init is not None:

@@ -24,7 +24,7 @@ from dirl.reporting import summary_table
 from dirl.reporting.sweeps import seed_table
 from dirl.runs.checkpoints import Facts
 from dirl.runs.folder import Run
-from dirl.training.job import Components, run_one
+from dirl.training.job import Components, run_job
 from dirl.training.stacked import Job, run_together
 
 PICTURES = {"learning_curve": "learning_curve.png", "paths": "trajectories_*.png", "maps": "maps_*.png"}
@@ -112,7 +112,7 @@ def train(*overrides: str, seeds: int | Sequence[int] | None = None, **options: 
         return recipe("train").train(run, components)
 
     try:
-        summary = run_one(composed, folder, arguments, stages)
+        summary = run_job(composed, stages, folder, arguments)
     except SystemExit as error:
         if error.code != 130:
             raise

@@ -91,30 +91,27 @@ def read_dumps(dumps: Sequence[Dump]) -> list[Scene]:
             contents = read_contents(dump.path, intact=True) if known else next(apart)
         except SceneError as error:
             raise SceneError(f"{dump.path}: {error}") from None
-        scenes.append(_scene(dump, contents, intact=known))
+        mapped: dict[str, np.ndarray] = {
+            array: np.memmap(dump.path, dtype, "r", offset, tuple(shape))
+            for array, (offset, shape, dtype) in contents.pop("mapped").items()
+        }
+        if "features" in mapped and mapped["features"].ndim == 3:
+            mapped["features"] = mapped["features"][:, 0]  # the first crop
+        beside = dump.path.with_suffix(".patches.npy")
+        if known and "patches" not in mapped and beside.is_file() and _is_intact_room(beside):
+            mapped["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
+        views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
+        # A file may have any name; that of a scene stands in paths, in pictures and on command lines.
+        stem = re.sub(r"[^\w .,()+-]+", "_", dump.path.stem).strip("_ .,(+-")
+        about: Contents = {
+            "name": dump.name or contents["name"] or stem or "scene",
+            "source": dump.source or contents["source"] or "unlabelled",
+            "goals": tuple(contents["goals"]),
+            "origin": str(dump.path),
+            "views": FileViews(dump.path.resolve(), **views) if views else None,
+        }
+        scenes.append(Scene(**{**contents, **mapped, **about}))
     return scenes
-
-
-def _scene(dump: Dump, contents: Contents, *, intact: bool) -> Scene:
-    # A file may have any name; that of a scene stands in paths, in pictures and on command lines.
-    name = dump.name or contents["name"] or re.sub(r"[^\w .,()+-]+", "_", dump.path.stem).strip("_ .,(+-") or "scene"
-    views = {key.removeprefix("view_"): contents.pop(key) for key in [*contents] if key.startswith("view_")}
-    mapped: dict[str, np.ndarray] = {
-        array: np.memmap(dump.path, dtype, "r", offset, tuple(shape))
-        for array, (offset, shape, dtype) in contents.pop("mapped").items()
-    }
-    if "features" in mapped and mapped["features"].ndim == 3:
-        mapped["features"] = mapped["features"][:, 0]  # the first crop
-    beside = dump.path.with_suffix(".patches.npy")
-    if intact and "patches" not in mapped and beside.is_file() and _is_intact_room(beside):
-        mapped["patches"] = np.load(beside, mmap_mode="r", allow_pickle=False)
-    about: Contents = {
-        "name": name,
-        "source": dump.source or contents["source"] or "unlabelled",
-        "goals": tuple(contents["goals"]),
-        "origin": str(dump.path),
-    }
-    return Scene(views=FileViews(dump.path.resolve(), **views) if views else None, **{**contents, **mapped, **about})
 
 
 def _is_intact_room(path: Path) -> bool:
