@@ -386,7 +386,7 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     """The page of a place with the agent's episodes there; its features and what else the browser needs are written."""
     from dirl.config.files import goal_view_options, group_options
     from dirl.perception.backbones import encode_all, load_encoder
-    from dirl.perception.recognition.recogniser import NCC, described_visits, matching
+    from dirl.perception.recognition.recogniser import NCC, TemplateStop, described_visits
     from dirl.reporting import viewer_pages
     from dirl.runs.checkpoints import load_checkpoint, packaged_agent
     from dirl.scenes import load_scenes
@@ -409,7 +409,8 @@ def place(navigator: Any, name: str, file: Path, goals: list[int], folder: Path)
     asked = {"scene": str(dump), "goals": goals, "evaluation.max_steps": MAX_STEPS}
     asked |= {group: group_options(group, choice) for group, choice in groups.items()}
     config, policy, protocol = load_trained(load_checkpoint(origin), origin, {**goal_view_options("front"), **asked})
-    pages = viewer_pages(policy, protocol, matching=matching(config, "cpu"), title=f"{AGENT}, {name}", critic=False)
+    stop = TemplateStop(config.stop.threshold, config.stop.match)
+    pages = viewer_pages(policy, protocol, matching=stop, title=f"{AGENT}, {name}", critic=False)
     visits = described_visits(NCC(), protocol.world, 0)
     same = NCC().scores(visits, visits) > navigator.memory.threshold
     features = np.concatenate([encoded.features, encoded.patches.reshape(len(scene), -1)], 1).astype(np.float16)

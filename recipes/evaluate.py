@@ -131,7 +131,7 @@ from dirl.evaluation.episodes import Episodes, Metric, sampled_starts, shortest_
 from dirl.evaluation.protocol import EvaluationProtocol, assess, assess_live, metrics
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.backbones.registry import packaged_encoder
-from dirl.perception.recognition.recogniser import NCC, build_recogniser, matching
+from dirl.perception.recognition.recogniser import NCC, build_recogniser, stop_by
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
@@ -431,10 +431,11 @@ def viewer(trained: Trained, facts: Mapping[str, Any], others: Mapping[str, tupl
     """The pages of the policy's greedy episodes, by file name, under the conditions of the evaluation."""
     config, policy, protocol = trained
     led = policy if isinstance(policy, GuidedPolicy) else None
+    recogniser = build_recogniser(config.recogniser, protocol.world.device, config.trust)
     return viewer_pages(
         policy,
         protocol,
-        matching=matching(config, protocol.world.device),
+        matching=stop_by(recogniser, config.stop.threshold, config.stop.match),
         title=run_title(facts),
         critic=bool(set(config.losses) - {"imitation"}),
         beside=others,

@@ -20,7 +20,7 @@ from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.experts import ShortestPathPolicy
 from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.perception.recognition.recogniser import TemplateStop, matching
+from dirl.perception.recognition.recogniser import TemplateStop
 from dirl.reporting import viewer, viewer_pages
 from dirl.runs.folder import Run
 from dirl.scenes import load_scenes, make_world, write_dump
@@ -63,7 +63,8 @@ def clone(room, folder):
 
 
 def pages_of(room, **options):
-    return viewer_pages(room.policy, room.protocol, matching=matching(room.config, "cpu"), title="a test", **options)
+    stop = TemplateStop(room.config.stop.threshold, room.config.stop.match)
+    return viewer_pages(room.policy, room.protocol, matching=stop, title="a test", **options)
 
 
 def data_of(page):

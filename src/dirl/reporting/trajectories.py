@@ -83,7 +83,26 @@ def draw_trajectories(
         main.suptitle("paths to the goal", fontsize=10)
         _draw_views(side, scene, goal, paths[0], success[0])
     figure.suptitle(title)
-    handles = _draw_map(main.subplots(), scene, goal, paths, success)
+    axes, square, place = main.subplots(), scene.step_length, places(scene.graph)
+    arrows = square * scene.directions
+    draw_room(axes, scene, square)
+    handles: list[Artist] = []
+    # Paths are set apart along the diagonal, so that they stay apart in corridors of both directions.
+    apart = min(0.14, 0.6 / len(paths)) * square
+    for number, (path, reached) in enumerate(zip(paths, success, strict=True)):
+        at = scene.positions + (number - (len(paths) - 1) / 2) * apart
+        line = _draw_path(axes, at, place, 0.32 * arrows, path, COLORS[number % len(COLORS)], reached)
+        steps = len(path) - 1
+        failed = "" if reached else ", failed"
+        line.set_label(f"{number + 1}: from state {path[0]}, {steps} step{'' if steps == 1 else 's'}{failed}")
+        handles.append(line)
+    draw_arrows(axes, *scene.positions[[goal]].T, *0.9 * arrows[[goal]].T, color="black", width=1.8 / 72, zorder=6)
+    axes.plot(*scene.positions[goal], "*", color=GOAL_COLOR, markersize=16, markeredgecolor="black", zorder=6)
+    handles.append(marker("o", 7, "0.4", "white", "start; arrows: heading"))
+    if not all(success):
+        handles.append(marker("X", 10, "0.4", "white", "end of a failed path"))
+    handles.append(marker("*", 12, GOAL_COLOR, "black", f"goal, state {goal}"))
+    handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
     side.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9, handlelength=3)
     write_figure(figure, file)
 
@@ -124,33 +143,6 @@ def path_actions(scene: Scene, path: Sequence[int]) -> list[str]:
             raise ValueError(f"{scene.name}: no action leads from state {state} to state {after}")
         actions.append("blocked" if state == after else ACTIONS[leads[0]])
     return actions
-
-
-def _draw_map(
-    axes: Axes, scene: Scene, goal: int, paths: Sequence[Sequence[int]], success: Sequence[bool]
-) -> list[Artist]:
-    """Draw the room and the paths in it; return the entries of its legend."""
-    side, place = scene.step_length, places(scene.graph)
-    arrows = side * scene.directions
-    draw_room(axes, scene, side)
-    handles: list[Artist] = []
-    # Paths are set apart along the diagonal, so that they stay apart in corridors of both directions.
-    apart = min(0.14, 0.6 / len(paths)) * side
-    for number, (path, reached) in enumerate(zip(paths, success, strict=True)):
-        at = scene.positions + (number - (len(paths) - 1) / 2) * apart
-        line = _draw_path(axes, at, place, 0.32 * arrows, path, COLORS[number % len(COLORS)], reached)
-        steps = len(path) - 1
-        failed = "" if reached else ", failed"
-        line.set_label(f"{number + 1}: from state {path[0]}, {steps} step{'' if steps == 1 else 's'}{failed}")
-        handles.append(line)
-    draw_arrows(axes, *scene.positions[[goal]].T, *0.9 * arrows[[goal]].T, color="black", width=1.8 / 72, zorder=6)
-    axes.plot(*scene.positions[goal], "*", color=GOAL_COLOR, markersize=16, markeredgecolor="black", zorder=6)
-    handles.append(marker("o", 7, "0.4", "white", "start; arrows: heading"))
-    if not all(success):
-        handles.append(marker("X", 10, "0.4", "white", "end of a failed path"))
-    handles.append(marker("*", 12, GOAL_COLOR, "black", f"goal, state {goal}"))
-    handles.append(Patch(color=WALL_COLOR, label="walls, furniture"))
-    return handles
 
 
 def _draw_path(

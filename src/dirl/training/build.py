@@ -41,8 +41,8 @@ from dirl.perception.recognition.recogniser import (
     StopRule,
     VisitScores,
     build_recogniser,
-    matching,
     set_memory_threshold,
+    stop_by,
 )
 from dirl.runs.checkpoints import ARCHITECTURE, Facts, State, load_checkpoint
 from dirl.scenes import Scene, SceneError, load_scenes
@@ -238,7 +238,8 @@ def stop_table(config: TrainConfig, rule: Stop, world: World) -> Tensor | StopRu
     """Return where agents stop on the way to each goal, bool ``[P]``, or a `StopRule` if views change; None: at it."""
     if rule == Stop.goal:
         return None
-    stop = matching(config, world.device)
+    recogniser = build_recogniser(config.recogniser, world.device, config.trust)
+    stop = stop_by(recogniser, config.stop.threshold, config.stop.match)
     return stop(world) if world.looks == 1 else stop.arrived(world)
 
 
@@ -279,7 +280,8 @@ def build_protocol(
             )
         if config.stop.evaluation == Stop.goal:
             raise ConfigError("stop.evaluation=goal: a LocalisingMemory stops by what it sees; use matching")
-        stop: Tensor | StopRule | ScoreFunction | None = matching(config, world.device).compared(world)
+        matching = stop_by(recogniser, config.stop.threshold, config.stop.match)
+        stop: Tensor | StopRule | ScoreFunction | None = matching.compared(world)
     else:
         stop = stop_table(config, config.stop.evaluation, world)
     return EvaluationProtocol(

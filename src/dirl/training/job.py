@@ -21,7 +21,7 @@ from dirl.config.schemas import Device, Precision, Starts
 from dirl.envs import SurroundingViews
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess
 from dirl.models import ActorCritic, plain_weights
-from dirl.perception.recognition.recogniser import matching
+from dirl.perception.recognition.recogniser import build_recogniser, stop_by
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
 from dirl.runs.checkpoints import Facts, RunError, State, is_finished, load_checkpoint, restoring
 from dirl.runs.exits import one_line_exits
@@ -220,7 +220,8 @@ def conclude(run: Run, policy: ActorCritic, protocol: EvaluationProtocol, facts:
         return summary
     print(summary_table(summary))
     draw_learning_curve(run.folder, run.folder / "learning_curve.png")
-    stop = matching(run.config, protocol.world.device)
+    recogniser = build_recogniser(run.config.recogniser, protocol.world.device, run.config.trust)
+    stop = stop_by(recogniser, run.config.stop.threshold, run.config.stop.match)
     for index in range(min(DRAWN_SCENES, len(protocol.world.scenes))):
         draw_scene(policy, protocol, index, run.folder, matching=stop, facts=summary)
     run.clean_up(summary)

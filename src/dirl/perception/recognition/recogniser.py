@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from dirl.config.components import Options, make, tried
 from dirl.config.files import group_options
-from dirl.config.schemas import ConfigError, Match, TrainConfig
+from dirl.config.schemas import ConfigError, Match
 from dirl.scenes.world import World
 
 FRONT_THRESHOLD = 0.95
@@ -381,12 +381,6 @@ class TemplateStop:
         """Return the scores by which an agent would stop, for one that weighs them itself."""
         scores, states, goals = VisitScores(self.recogniser, world, self.match), len(world), len(world.goals)
         return lambda wanted, picture: scores(world.goals[wanted % goals] + wanted // goals * states, picture)
-
-
-def matching(config: TrainConfig, device: torch.device | str) -> TemplateStop:
-    """Make the stop by template matching, for a world on a device."""
-    recogniser = build_recogniser(config.recogniser, device, config.trust)
-    return stop_by(recogniser, config.stop.threshold, config.stop.match)
 
 
 def stop_by(recogniser: Recogniser, threshold: float, match: Match) -> TemplateStop:
