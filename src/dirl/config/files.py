@@ -39,10 +39,10 @@ def typed(config: DictConfig) -> Any:
     for name_of_scene in scene if OmegaConf.is_list(scene) else [scene]:
         if name_of_scene is not None and not isinstance(name_of_scene, str):
             raise ConfigError(f"scene={scene}: must be a name, a path, or a list of them")
-    kinds = option_types(type(options), bounds=True)
-    for name, value in leaves(OmegaConf.to_container(config, resolve=True)).items():
+    for name, kind in option_types(type(options), bounds=True).items():
+        value = OmegaConf.select(config, name)
         if type(value) in (int, float):  # of other values OmegaConf has checked the types
-            check_value(name, value, kinds.get(name, int | float))
+            check_value(name, value, kind)
     return options
 
 
