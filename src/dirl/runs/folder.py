@@ -55,6 +55,7 @@ class Run:
     unusable: Sequence[Path] = ()
     """Damaged checkpoints, which `begin` sets aside."""
     logger: "WandbLogger | None" = None
+    """Beside the tables, if the configuration names it."""
     facts: State = field(default_factory=dict)
     """What every checkpoint says beside its weights, see `checkpoint_facts`."""
     tables: dict[Path, list[str]] = field(default_factory=dict)
@@ -62,6 +63,7 @@ class Run:
     began: float = field(default_factory=time.perf_counter)
     """When this process began it."""
     last_save: float = field(default_factory=time.perf_counter)
+    """When it last wrote a checkpoint, as is ``began`` by ``time.perf_counter``."""
 
     def begin(self, world: World, view_order: Sequence[str]) -> None:
         """Lock the folder, write the configuration, and remove what is newer than the checkpoint.
