@@ -13,7 +13,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # workers share it: what one of the
     os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="dirl-tests-")
 
 import pytest
-from forks import reading_in_process
+from forks import compose_once, reading_in_process
 from hypothesis import settings
 
 gc.disable()  # until the tests are collected: a million objects are made that stay
@@ -58,6 +58,13 @@ def reading(request):
     else:
         with reading_in_process():
             yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def composing():
+    """Configurations are composed once, which takes a third of a short training."""
+    with compose_once():
+        yield
 
 
 @pytest.fixture

@@ -105,6 +105,18 @@ def reading_in_process():
     return patch.object(read, "read_apart", lambda paths: map(read.read_contents, paths))
 
 
+def compose_once():
+    """A patch by which Hydra composes a configuration once; it else does so before to look for ``hydra.mode``."""
+    from hydra._internal.hydra import Hydra
+
+    get_mode = Hydra.get_mode
+
+    def given_mode(hydra, config_name, overrides):
+        return get_mode(hydra, config_name, overrides) if "hydra.mode" in "".join(overrides) else None
+
+    return patch.object(Hydra, "get_mode", given_mode)
+
+
 def no_pictures():
     """Leave the pictures empty, which take most of a short run's time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
