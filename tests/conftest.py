@@ -29,10 +29,13 @@ QUICK = ("agent", "config", "envs", "evaluation", "models", "perception/recognit
 SLOW = ("agent/test_navigator_encoders.py", "perception/recognition/test_learned.py")
 """What is left out of them: large networks are loaded, or a recogniser is trained."""
 
+LONG = ("test_docs.py", "test_extend.py", "test_one_page.py", "test_platforms.py", "test_systems.py", "test_wheel.py")
+"""Files with tests of many seconds, which come early: at the end the other worker would wait for them."""
+
 
 def pytest_collection_modifyitems(config, items):
     """Mark the quick tests; begin with those of a site, so that the worker that builds it does them all."""
-    items.sort(key=lambda item: "site" not in item.fixturenames)
+    items.sort(key=lambda item: ("site" not in item.fixturenames, item.path.name not in LONG))
     for item in items:
         inside = item.path.relative_to(Path(__file__).parent).as_posix()
         if (inside.startswith(QUICK) and inside not in SLOW) or inside == "test_layout.py":
