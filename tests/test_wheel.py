@@ -85,17 +85,32 @@ def tracked(folder):
     return [file for file in (ROOT / folder).rglob("*") if file.is_file() and "__pycache__" not in file.parts]
 
 
-def test_an_empty_folder_is_enough_to_train_evaluate_and_inspect(dirl):
-    assert "pictures, metrics and weights: run" in dirl("train", *TINY)
-    assert json.loads((dirl.folder / "run" / "summary.json").read_text())["frames"] == 400
-    assert "greedy" in dirl("evaluate", "checkpoint=run", "max_steps=20")
-    assert "| states        | 180 |" in dirl("scenes", "inspect", "scene=bathroom_02")
+PROGRAM = """
+import runpy, sys
+from dirl.cli.main import main
+*lines, copied = sys.argv[1:]
+for line in lines:
+    sys.argv = ["dirl", *line.split()]
+    main()
+sys.argv = ["mine.py", *copied.split()]
+runpy.run_path("mine.py", run_name="__main__")
+"""
+"""Several commands in one process, as importing torch takes seconds; the last one is a copied recipe."""
 
 
-def test_a_copied_recipe_runs_and_versions_are_told(dirl, wheel):
+def test_an_empty_folder_is_enough_to_train_evaluate_and_inspect_and_to_run_a_copied_recipe(dirl):
     dirl("copy", "train", "mine.py")
-    dirl(*TINY[:-1], "hydra.run.dir=copied", "system=random", script="mine.py")
+    (dirl.folder / "program.py").write_text(PROGRAM)
+    lines = [" ".join(["train", *TINY]), "evaluate checkpoint=run max_steps=20", "scenes inspect scene=bathroom_02"]
+    copied = " ".join([*TINY[:-1], "hydra.run.dir=copied", "system=random"])
+    printed = dirl(*lines, copied, script="program.py")
+    for told in ("pictures, metrics and weights: run\n", "| greedy ", "| states        | 180 |"):
+        assert told in printed
+    assert json.loads((dirl.folder / "run" / "summary.json").read_text())["frames"] == 400
     assert (dirl.folder / "copied" / "summary.json").is_file()
+
+
+def test_versions_are_told(dirl, wheel):
     version = wheel.name.split("-")[1]
     assert dirl("--version") == f"{version}\n"
     assert f"dirl {version}" in dirl("version")
