@@ -18,6 +18,7 @@ from urllib.parse import unquote
 
 import pytest
 import torch
+from closet import dim_light
 from commands import ROOT, TINY, start_recipe
 from filelock import FileLock
 from forks import empty_file
@@ -35,7 +36,7 @@ SMALL = 'imitation={"max_steps": 5}, reinforcement={"frames_per_scene": 240}, ev
 
 TRAINING = [*TINY, "evaluation.max_steps=10", "imitation.max_steps=5", "reinforcement.frames_per_scene=240"]
 TRAINING += ["evaluation.starts=sampled", "evaluation.episodes_per_goal=4"]
-QUICK = {"recipes/train.py": TRAINING, "recipes/evaluate.py": ["starts=sampled", "episodes_per_goal=1"]}
+QUICK = {"recipes/train.py": TRAINING, "recipes/evaluate.py": ["starts=sampled", "episodes_per_goal=1", "max_steps=20"]}
 """Behind every training and evaluation of a page, but for the options that it gives itself."""
 
 SHORTER = {
@@ -44,6 +45,7 @@ SHORTER = {
     "notebook.md": {"seed=0)": f"seed=0, {SMALL})"},
     "quickstart.md": {"seed=0)": f"seed=0, {SMALL})"},
     "any_goal.md": {"imitation.max_steps=100": "imitation.max_steps=5", "evaluation.goals=20": "evaluation.goals=2"},
+    "extend.md": {'("gru", "lstm")': '("lstm",)'},
     "extend_more.md": {"frames_per_scene=20000": "frames_per_scene=240"},
     "many_goals.md": {
         "train.py scene=kitchen_02": "train.py evaluation.goals=2 evaluation.starts=sampled scene=kitchen_02"
@@ -182,6 +184,7 @@ def test_the_code_of_a_page_runs(page, example_run, tmp_path, monkeypatch):
     monkeypatch.setenv("WANDB_MODE", "offline")
     monkeypatch.setenv(VARIABLE, "")  # what `python -m dirl` sets on a page ends with this test
     monkeypatch.delenv(VARIABLE)
+    dim_light(monkeypatch)
     shutil.copytree(example_run, EXAMPLE_RUN)
     if page.stem == "resume":  # as if it had been stopped before its first checkpoint
         for file in Path(EXAMPLE_RUN).iterdir():
