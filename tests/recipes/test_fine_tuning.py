@@ -34,13 +34,9 @@ def test_a_training_begins_with_the_weights_and_the_architecture_of_another(pret
     assert before["network"].keys() == after["network"].keys()
     for name, value in before["network"].items():
         assert torch.equal(value, after["network"][name]), name
-    done(pretrained, "train", *OTHER, "init=run", "hydra.run.dir=tuned")
-    tuned = load_checkpoint(pretrained / "tuned")["network"]
-    assert any(not torch.equal(value, tuned[name]) for name, value in before["network"].items())
-    assert torch.equal(tuned["features.axes"], before["network"]["features.axes"])  # those of its features
 
 
-def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretrained):
+def test_it_learns_and_when_it_is_resumed_does_not_need_the_weights_it_began_with(pretrained):
     (pretrained / "lent").mkdir()
     shutil.copy(pretrained / "run" / "network.pt", pretrained / "lent")
     options = [*OTHER, "init=lent/network.pt", "reinforcement.frames_per_scene=1500", SAVED]
@@ -53,6 +49,9 @@ def test_a_run_that_is_resumed_does_not_need_the_weights_it_began_with(pretraine
     shutil.rmtree(pretrained / "lent")
     done(pretrained, "train", "resume=killed")
     assert summary_of(killed)["frames"] == 1500
+    before, tuned = (load_checkpoint(pretrained / name)["network"] for name in ("run", "killed"))
+    assert any(not torch.equal(value, tuned[name]) for name, value in before.items())
+    assert torch.equal(tuned["features.axes"], before["features.axes"])  # those of its features
 
 
 @pytest.mark.parametrize(

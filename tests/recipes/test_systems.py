@@ -1,11 +1,13 @@
 """The systems beside DIRL: two that learn nothing, DAgger, and workers that learn at the same time."""
 
 import json
+import runpy
 import signal
+import sys
 
 import pytest
 import torch
-from commands import TINY, done, room_file, run_recipe, start_recipe, summary_of, wait_until
+from commands import ROOT, TINY, done, room_file, run_recipe, start_recipe, summary_of, wait_until
 from parts import make_parts
 from refusals import refused
 
@@ -106,7 +108,7 @@ def test_workers_that_cannot_be_are_refused(tmp_path, wrong, monkeypatch):
     refused(r"reinforcement\.workers=4: ", make_parts, f"scene={room_file(tmp_path)}", "system=a3c", *wrong)
 
 
-def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
+def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path, monkeypatch):
     small = ["encoder.width=64", "heads.width=64", "imitation.fraction=0", "optimiser.lr=4e-3"]
     small += ["reinforcement.agents_per_scene=40", "reinforcement.workers=2"]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=a3c", *small, "reinforcement.frames_per_scene=16_000"]
@@ -120,7 +122,9 @@ def test_workers_learn_are_stopped_by_ctrl_c_and_go_on(tmp_path):
     assert "Traceback" not in ended.errors
     (checkpoint,) = (tmp_path / "run" / "checkpoints").glob("*.pt")
     assert 0 < int(checkpoint.stem) < 16_000
-    done(tmp_path, "train", "resume=run")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["train.py", "resume=run"])
+    runpy.run_path(str(ROOT / "recipes" / "train.py"), run_name="__main__")  # here workers are forks of the server
     summary = summary_of(tmp_path / "run")
     assert summary["frames"] == 16_000
     # How far they come depends on how the machine shares its time between them.

@@ -52,8 +52,11 @@ def small_room(folder, *options, headings=4):
     return make_parts(f"scene={file}", *limits, *options)
 
 
-def clone(room, folder):
-    """Train the policy by imitation, so that it arrives."""
+@pytest.fixture(scope="module")
+def cloned(tmp_path_factory):
+    """A small room whose policy was trained by imitation, so that it arrives."""
+    folder = tmp_path_factory.mktemp("cloned")
+    room = small_room(folder, "imitation.fraction=1")
     run = Run(folder, room.config)
     run.begin(room.world, room.observation.order)
     torch.manual_seed(0)
@@ -223,11 +226,9 @@ def test_an_agent_goes_on_from_where_it_was_led_as_if_it_began_there(tmp_path, o
     assert walked(tab) == [(step + done, at) for done, at in enumerate(path(room, 1, state))][: LIMIT - step + 1]
 
 
-def test_two_agents_walk_side_by_side(tmp_path, open_page):
-    room = clone(small_room(tmp_path, "imitation.fraction=1"), tmp_path)
-    (tmp_path / "other").mkdir()
-    other = small_room(tmp_path / "other")
-    tab = open_page(room, beside={"untrained": (other.policy, other.protocol)})
+def test_two_agents_walk_side_by_side(tmp_path, cloned, open_page):
+    other = small_room(tmp_path)
+    tab = open_page(cloned, beside={"untrained": (other.policy, other.protocol)})
     choose(tab, 1, 8)
     assert not tab.is_visible("#seen-beside")
     tab.select_option("#beside", "untrained")
@@ -265,13 +266,12 @@ def test_a_link_leads_to_what_was_shown(tmp_path, open_page):
         tab.locator("#note", has_text=f"{wrong.replace('=', ' ')}, which this page does not have").wait_for()
 
 
-def test_an_episode_can_be_stepped_scrubbed_and_played(tmp_path, open_page):
-    room = clone(small_room(tmp_path, "imitation.fraction=1"), tmp_path)
-    tab = open_page(room)
+def test_an_episode_can_be_stepped_scrubbed_and_played(cloned, open_page):
+    tab = open_page(cloned)
     choose(tab, 1, 8)
     assert tab.locator("#actions .chosen").count() == 1
     seen = walked(tab)
-    assert seen == list(enumerate(path(room, 1, 8)))
+    assert seen == list(enumerate(path(cloned, 1, 8)))
     assert not tab.is_visible("#actions")  # nothing is decided any more
     assert f"Stopped at the goal after {len(seen) - 1} steps" in tab.inner_text("#outcome")
     assert (tab.inner_text("#verdict"), tab.inner_text("#score")) == ("stop", "1.000")
