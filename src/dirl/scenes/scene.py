@@ -159,8 +159,9 @@ class Scene:
     @cached_property
     def step_length(self) -> float:
         """Return the median length of the moves ahead, metres; 0.5 where there are none."""
-        _, moves = self._moves_ahead
-        return float(np.median(np.abs(moves))) if len(moves) else 0.5
+        states = np.flatnonzero(self.graph[:, AHEAD] >= 0)
+        moves = self.positions[self.graph[states, AHEAD]] - self.positions[states]
+        return float(np.median(np.hypot(*moves.T))) if len(moves) else 0.5
 
     @cached_property
     def directions(self) -> NDArray[np.float64]:
@@ -169,7 +170,9 @@ class Scene:
         Headings are clockwise from +z in AI2-THOR, but other files may differ. The sense of rotation and its zero are
         therefore those that agree best with the moves ahead; where the moves leave it open, those of AI2-THOR.
         """
-        states, moves = self._moves_ahead
+        states = np.flatnonzero(self.graph[:, AHEAD] >= 0)
+        x, z = (self.positions[self.graph[states, AHEAD]] - self.positions[states]).T
+        moves = z + 1j * x  # whose angle is the clockwise one from +z
         clockwise = np.exp(1j * np.deg2rad(self.headings))
         turned, zero = clockwise, np.complex128(1)
         if len(moves):
@@ -181,13 +184,6 @@ class Scene:
                 turned, zero = best, mean / abs(mean)
         pointing = turned * zero
         return _read_only(np.stack([pointing.imag, pointing.real], 1))
-
-    @cached_property
-    def _moves_ahead(self) -> tuple[IntArray, NDArray[np.complex128]]:
-        """The states whose way ahead is free, and the moves as z + ix, whose angle is the clockwise one from +z."""
-        states = np.flatnonzero(self.graph[:, AHEAD] >= 0)
-        x, z = (self.positions[self.graph[states, AHEAD]] - self.positions[states]).T
-        return states, z + 1j * x
 
     def check_goals(self, goals: Iterable[int]) -> None:
         """Raise `SceneError` unless each goal is a state that some other state can reach."""
