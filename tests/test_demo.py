@@ -8,18 +8,22 @@ import shutil
 import sys
 import threading
 from base64 import b64decode
+from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
 import torch
+from closet import dim_light
 from commands import ROOT
 from PIL import Image
 from scipy.special import log_softmax
 
 from dirl.models import PlanningMemory
+from dirl.scenes import load_scenes, write_dump
 from dirl.scenes.graph import LEFT
+from dirl.scenes.views import encoded_view
 
 DOCS = ROOT / "docs"
 MOST_BYTES = 16 * 10**6
@@ -35,13 +39,30 @@ def demo():
     return demo
 
 
+STATES = 60
+"""Of the built-in room, which is cut off behind its first places."""
+
+
+def part_of_a_room(folder):
+    """The built-in room's dump and goals, as `demo.built_in_room` gives them, of its first states."""
+    (scene,) = load_scenes("bathroom_02")
+    arrays = {name: getattr(scene, name)[:STATES] for name in ("positions", "headings", "features")}
+    graph = np.where(scene.graph < STATES, scene.graph, -1)[:STATES]
+    views = [encoded_view(scene.views, state) for state in range(STATES)]
+    write_dump(folder / "room.h5", replace(scene, graph=graph, **arrays, goals=(3,), patches=None, views=None), views)
+    return folder / "room.h5", [*range(3, STATES, 9)]
+
+
 @pytest.fixture(scope="module")
 def site(demo, tmp_path_factory):
-    """The folder of the demo, whose tour is of two small rooms."""
+    """The folder of the demo, with a part of its room and a tour of two small rooms in a dim light."""
     if reason := demo.missing():
         pytest.skip(reason)
-    folder = tmp_path_factory.mktemp("site") / "demo"
+    base = tmp_path_factory.mktemp("site")
+    folder, room = base / "demo", part_of_a_room(base)
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo, "built_in_room", lambda: room)
+        dim_light(patch)
         patch.setattr(demo, "TOUR", (("bathroom", "bathroom"), 3))
         patch.setattr(demo, "PANORAMA", (128, 256))
         try:
