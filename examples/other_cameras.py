@@ -13,18 +13,23 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image
 
 from dirl.cli.start import run, start
 from dirl.config.options import option
 from dirl.perception.backbones import encode_all, load_encoder
+from dirl.perception.backbones.encoder import reduced
 from dirl.scenes.catalogue import load_scenes
 from dirl.scenes.io.write import write_dump
 from dirl.scenes.views import encode
 
 FIELD_OF_VIEW = 75.0
 """Degrees, of the built-in rooms."""
+
+PIXELS = 64
+"""Width to which `general` reduces views, ``network.pixels``; only features are stored, so it is done here."""
 
 Pixels = NDArray[np.uint8]
 
@@ -105,7 +110,8 @@ def main(scene: str, change: str, out: str, looks: int, seed: int) -> None:
     def visits() -> Iterator[Pixels]:
         for look in range(looks):
             for view, at in zip(views, place, strict=True):
-                yield cv2.resize(CHANGES[change](view, np.random.default_rng([seed, look, at])), size)
+                seen = cv2.resize(CHANGES[change](view, np.random.default_rng([seed, look, at])), size)
+                yield reduced(torch.from_numpy(seen)[None], PIXELS)[0].numpy()
 
     features, patches = encode_all(encoder, visits(), looks * len(room), out)
     first, *others = np.split(features.astype(np.float16), looks)

@@ -116,7 +116,7 @@ class Options:
 if __name__ == "__main__":
     options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -135,11 +135,11 @@ from dirl.perception.recognition.recogniser import NCC, build_recogniser, stop_b
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
+from dirl.scenes import Scene, load_scenes
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.files import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, repeats, shortest_move, state_pose
-from dirl.scenes.world import World
-from dirl.training.build import Trained, build_world, describe, load_trained, saved_config
+from dirl.training.build import Trained, describe, load_trained, saved_config
 
 MOST_EPISODES = 20_000
 """Of an evaluation for which no starts are asked for."""
@@ -241,14 +241,15 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
     Correlation tells such views apart; a recogniser that allows for changes takes places of a maze for one.
     """
     config = saved_config(saved, options.checkpoint, changes, options.trust or [])
-    world = build_world(config, saved["extractor"])
+    source = make("source", config.source, config.trust)
+    scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
     memory = make("episodic_memory", config.episodic_memory, config.trust)
     live = options.simulator is not None  # a navigator walks there, see `walk_live`
     asked = options.episodic_memory, options.recogniser, options.map
-    if not live and asked == (None, None, None) and views_return(memory, world):
+    if not live and asked == (None, None, None) and views_return(memory, scenes):
         changes = {**changes, **{name: group_options(name, option) for name, option in PLANS.items()}}
         changes["stop.threshold"] = options.threshold or RETURNED
-    return load_trained(saved, options.checkpoint, changes, options.trust or [], world), changes
+    return load_trained(saved, options.checkpoint, changes, options.trust or []), changes
 
 
 def leave_pictures(trained: Trained, facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
@@ -283,9 +284,9 @@ def check(options: Options) -> None:
         raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
 
 
-def views_return(memory: object, world: World) -> bool:
+def views_return(memory: object, scenes: Sequence[Scene]) -> bool:
     """Return whether an agent that localises would be in scenes of one look, whose views return bit for bit."""
-    return isinstance(memory, LocalisingMemory) and world.looks == 1
+    return isinstance(memory, LocalisingMemory) and all(scene.looks == 1 for scene in scenes)
 
 
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:
@@ -347,7 +348,7 @@ def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     if encoder is None:
         raise RunError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
     chosen: Mapping[str, str | None] = {"recogniser": options.recogniser, "episodic_memory": options.episodic_memory}
-    localises = not any(chosen.values()) and views_return(protocol.memory, protocol.world)
+    localises = not any(chosen.values()) and views_return(protocol.memory, [scene])
     # A simulator may show the same views again, unless the agent errs in its turns.
     plans = localises and not options.turn_error and repeats(world, state_pose(scene, 0))
     if plans:

@@ -372,3 +372,19 @@ def test_a_navigator_and_its_episode_can_be_pickled():
     here, there = navigator.act(images[2]), other.act(images[2])
     assert (here.action, here.stop) == (there.action, there.stop)
     assert torch.equal(here.scores.probabilities, there.scores.probabilities)
+
+
+@pytest.mark.parametrize(
+    ("options", "width"),
+    [({}, 64), ({"turns": 8}, 80), ({"recogniser": "ncc", "episodic_memory": "planning"}, 80)],
+    ids=["cameras", "panoramas", "views return"],
+)
+def test_sharp_views_are_reduced_to_those_of_the_training(options, width):
+    navigator = Navigator.load("general", **options)
+    encode, widths = navigator.encoder, []
+    navigator.encoder = lambda images: (widths.append(images.shape[2]), encode(images))[1]
+    images = np.random.default_rng(0).integers(0, 256, (4, 60, 80, 3), np.uint8)
+    navigator.reset(images[0])
+    navigator.act(images)
+    assert widths == [width, width]
+    assert ("64 pixels across" in navigator.facts["extractor"]) == (width == 64)

@@ -160,6 +160,17 @@ def test_a_move_that_was_blocked_leads_to_no_new_place(stayed, places):
     assert walked.position.shape[1] == places
 
 
+def test_views_that_return_leave_no_doubt_whatever_the_locator_tells_of_the_last_move():
+    memory, surely = LocalisingMemory(temperature=8.0), torch.tensor([50.0])
+    costs, odds = (lambda chosen: torch.ones(len(chosen), 4, 4)), torch.full((1, 4), -9.0)
+    walked = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, costs)
+    walked.action = torch.tensor([AHEAD])
+    for exact, views, stayed, places in ((False, -20.0, surely, 1), (True, -20.0, surely, 2), (True, 20.0, -surely, 1)):
+        memory.exact = exact
+        alike = torch.tensor([[[views, -20.0, -20.0, -20.0]]])
+        assert memory.arrive(walked, alike, odds, costs, stayed=stayed).position.shape[1] == places
+
+
 @pytest.mark.parametrize(("action", "lies"), [(AHEAD, (0, -1)), (BACK, (0, 1))])
 def test_where_an_agent_was_a_step_ago_tells_whether_it_moved(action, lies):
     agent = Localising(LocalisingMemory(), 4)

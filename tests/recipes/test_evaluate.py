@@ -49,14 +49,14 @@ def test_where_every_start_makes_too_many_episodes_some_are_drawn(monkeypatch, c
 def test_where_views_return_an_agent_that_localises_plans_unless_something_is_asked(
     monkeypatch, looks, memory, given, plans
 ):
-    world = make_world([grid_scene(3, 2, looks=looks)])
-    config = SimpleNamespace(episodic_memory=group_options("episodic_memory", memory), trust=[])
+    source = {"_target_": "dirl.scenes.catalogue.Rooms"}
+    config = SimpleNamespace(episodic_memory=group_options("episodic_memory", memory), source=source, trust=[])
+    config.scene = config.split = config.rooms = None
     monkeypatch.setattr(evaluate, "saved_config", lambda *_: config)
-    monkeypatch.setattr(evaluate, "build_world", lambda *_: world)
+    monkeypatch.setattr(evaluate, "load_scenes", lambda *_, **__: [grid_scene(3, 2, looks=looks)])
     monkeypatch.setattr(evaluate, "load_trained", lambda *given: given)
     options = parse(evaluate.Options, ["checkpoint=run", *given])
-    (*_, asked, _, read), changes = evaluate.loaded({"extractor": "random"}, options, {"seed": 1})
-    assert read is world
+    (*_, asked, _), changes = evaluate.loaded({"extractor": "random"}, options, {"seed": 1})
     planning = {"episodic_memory": "planning", "recogniser": "ncc"}
     planning = {name: group_options(name, option) for name, option in planning.items()} | {"stop.threshold": 0.98}
     assert changes == asked == {"seed": 1, **(planning if plans else {})}

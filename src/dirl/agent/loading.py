@@ -16,7 +16,7 @@ from dirl.config.files import group_options, read_config
 from dirl.config.schemas import ConfigError, Match, TrainConfig
 from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
-from dirl.models.build import build_policy, check_extractor, load_weights, reads_patches, saved_statistics
+from dirl.models.build import build_policy, check_extractor, load_weights, pixels_read, reads_patches, saved_statistics
 from dirl.perception.backbones import ViewEncoder, load_encoder
 from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.registry import BATCH, LITE, packaged_encoder
@@ -84,6 +84,7 @@ def load_parts(
         "memory": memory,
         "recogniser": recognises,
         "fine": fine,
+        "pixels": pixels_read(config),
     }
 
 

@@ -34,6 +34,7 @@ from dirl.agent.mapping.graph_policy import LAST_STEPS, GraphGuide
 from dirl.envs.transforms import VIEWS
 from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.build import tell_of_turns, turns_of_training
+from dirl.perception.backbones.encoder import reduced
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.recognition.other_cameras import PhotoPoints
 from dirl.perception.recognition.recogniser import NCC, Recogniser
@@ -81,6 +82,7 @@ class Navigator:
         recogniser: by which the goal and known places are recognised; correlation if left out.
         turns: right turns of the agent in a full circle: 4 if a turn is 90 degrees, 12 if it is 30.
         fine: the encoder gives fine patches too, by which ``recogniser=learned`` compares single photos.
+        pixels: wider images are reduced to so many pixels across, but not where ``turns`` allow for panoramas.
 
     Raises:
         NavigatorError: ``turns`` that the memory cannot plan with.
@@ -97,6 +99,7 @@ class Navigator:
         recogniser: Recogniser | None = None,
         turns: int = VIEWS,
         fine: bool = False,
+        pixels: int | None = None,
     ) -> None:
         check_turns(turns)
         self.policy = policy
@@ -105,7 +108,8 @@ class Navigator:
         self.threshold = threshold
         self.memory, self.recogniser, self.turns = memory, recogniser or NCC(), turns
         self.encoder, self.fine = encoder, fine
-        beside = "; fine patches" if fine else ""
+        self.pixels = pixels if turns == VIEWS else None
+        beside = ("; fine patches" if fine else "") + ("" if self.pixels is None else f"; {pixels} pixels across")
         self.facts = facts | {"extractor": facts["extractor"] + beside}  # of maps too
         self.agent = Agent()
         self._goal: Goal | None = None
@@ -344,7 +348,8 @@ class Navigator:
     def _encode(self, pixels: Tensor, count: int) -> Tensor:
         """Return features, float32 ``[B, V, D]``, of V views an agent."""
         width = self.width + (math.prod(FINE_SHAPE) if self.fine else 0)
-        features = checked_features(self.encoder(pixels.to(self.device)), len(pixels), width, self.facts["extractor"])
+        images = reduced(pixels, self.pixels).to(self.device)
+        features = checked_features(self.encoder(images), len(pixels), width, self.facts["extractor"])
         return features.to(self.device, torch.float32).unflatten(0, (-1, count))
 
     def _points_of(self, goal: Tensor) -> PhotoPoints | None:

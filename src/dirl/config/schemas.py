@@ -78,6 +78,11 @@ class NetworkConfig:
     components: Annotated[int, Interval(ge=1, le=65_536)] | None = option(
         "principal components of a view's features, scaled to deviation 1, that are read; null = features", None
     )
+    pixels: Positive | None = option(
+        "views that are wider are reduced to so many pixels across before an encoder of the package sees them, but not "
+        "in tours, and not where correlation compares them; null = none is",
+        None,
+    )
 
 
 @dataclass

@@ -22,6 +22,7 @@ from dirl.models import (
     whitening,
 )
 from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
+from dirl.perception.recognition.recogniser import NCC
 from dirl.scenes import ACTIONS
 from dirl.scenes.world import World
 
@@ -133,6 +134,12 @@ def saved_statistics(weights: Mapping[str, Tensor]) -> tuple[Tensor | None, Tens
 def reads_patches(config: TrainConfig) -> bool:
     """Return True if the encoder compares patches: its constructor takes ``patch_shape``."""
     return "patch_shape" in class_parameters(find_class("encoder", config.encoder[TARGET], config.trust))
+
+
+def pixels_read(config: TrainConfig) -> int | None:
+    """Return to what width views are reduced, see ``network.pixels``; None where correlation compares their details."""
+    recogniser = find_class("recogniser", config.recogniser[TARGET], config.trust)
+    return None if issubclass(recogniser, NCC) else config.network.pixels
 
 
 def check_extractor(saved: Mapping[str, object], extractor: str, origin: str) -> None:

@@ -176,6 +176,8 @@ class LocalisingMemory(nn.Module):
         self.elsewhere, self.neighbour = elsewhere, neighbour
         self.seek, self.correlation = seek, correlation
         self.least, self.independence, self.temperature = least, independence, temperature
+        self.exact = False
+        """Whether views return bit for bit, so that comparisons leave no doubt where the agent is."""
 
     def begin(self, agents: int, device: torch.device | str = "cpu", turns: int = VIEWS, views: int = VIEWS) -> Places:
         """Return what agents know at the start of their episodes: nothing.
@@ -256,7 +258,7 @@ class LocalisingMemory(nn.Module):
                 new[~tried & arrow] = 0.5
             else:
                 stays = new.new_full((len(used),), self.blocked)
-                if stayed is not None:
+                if stayed is not None and not self.exact:
                     stays = (stays.logit() + stayed).sigmoid()
                 known = 1 - stays[:, None]
                 new = torch.where((tried | there.any(1))[:, None], new, known)
@@ -364,7 +366,8 @@ class LocalisingMemory(nn.Module):
     def _evidence(self, odds: Tensor, places: Places) -> Tensor:
         """Log odds of visits facing each view, float32 ``[B, T, V]``, as those of nodes, ``[B, K P]``."""
         temperature = torch.where(places.mapped | _panorama(places), 1.0, self.temperature)[:, None, None]
-        total = _by_node((odds / temperature).clamp(min=self.least), places)
+        tempered = odds if self.exact else (odds / temperature).clamp(min=self.least)
+        total = _by_node(tempered, places)
         visits = _by_node(torch.ones_like(odds), places)
         evidence = total * visits.clamp(min=1) ** (self.independence - 1)
         # Of a heading that was not seen nothing is known, neither for nor against it.

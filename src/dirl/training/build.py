@@ -31,6 +31,7 @@ from dirl.models.build import (
     check_extractor,
     feature_table,
     load_weights,
+    pixels_read,
     reads_patches,
     tell_of_turns,
     turns_of_training,
@@ -66,7 +67,8 @@ def build_world(config: TrainConfig, extractor: str | None = None) -> World:
     source = make("source", config.source, config.trust)
     scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
     if extractor is not None:
-        scenes = [encoded_as(scene, extractor, patches=reads_patches(config)) for scene in scenes]
+        patches, pixels = reads_patches(config), pixels_read(config)
+        scenes = [encoded_as(scene, extractor, patches=patches, pixels=pixels) for scene in scenes]
     workers, agents = config.reinforcement.workers, config.reinforcement.agents_per_scene * len(scenes)
     if workers > agents:
         raise ConfigError(f"reinforcement.workers={workers}: there are only {agents} agents to share among them")
@@ -327,7 +329,6 @@ def load_trained(
     origin: str,
     changes: Mapping[str, Any] | None = None,
     trust: Collection[str] = (),
-    world: World | None = None,
 ) -> Trained:
     """Return the policy of a checkpoint in evaluation mode, and the world of its configuration.
 
@@ -336,7 +337,6 @@ def load_trained(
         origin: where it stood, for errors.
         changes: options to replace in its configuration, by dotted name.
         trust: packages whose classes it may name, see `dirl.config.components.find_class`.
-        world: the same as it was made before; it is read if left out.
 
     Raises:
         ConfigError: the configuration, or what it makes, cannot be used; the scenes' features are of another extractor;
@@ -344,8 +344,7 @@ def load_trained(
         SceneError: a scene or goal that does not exist or cannot be used.
     """
     config = saved_config(saved, origin, changes, trust)
-    if world is None:
-        world = build_world(config, saved["extractor"])
+    world = build_world(config, saved["extractor"])
     tell_of_turns(turns_of_training(saved), world.turns.unique().tolist(), origin)
     held_out = build_goals(config, world.scenes).held_out
     if changes and changes.get("seed") is not None:

@@ -11,7 +11,7 @@ from rooms import grid_scene
 
 from dirl.models.build import feature_table
 from dirl.perception.backbones import EncoderError, ResNet50, ViewEncoder, load_encoder, preprocess, registry
-from dirl.perception.backbones.encoder import weights_hash
+from dirl.perception.backbones.encoder import reduced, weights_hash
 from dirl.perception.backbones.patches import coarse
 from dirl.perception.backbones.registry import encode_all, encoded_as
 from dirl.scenes import make_world, read_dump, write_dump
@@ -99,3 +99,20 @@ def test_kept_features_are_used_only_if_they_are_of_this_encoder(tmp_path, monke
     write_dump(kept, replace(first, views=None), feature_attributes={"extractor": "another"})
     with pytest.raises(pytest.fail.Exception, match="is not kept"):
         encoded_as(scene, extractor, patches=False)
+
+
+def test_wide_views_are_reduced_before_they_are_encoded_but_not_in_tours(tmp_path, monkeypatch):
+    sharp = np.random.default_rng(0).integers(0, 256, (8, 60, 80, 3), np.uint8)
+    write_dump(tmp_path / "room.h5", grid_scene(2, 1), [webp(view) for view in sharp])
+    scene, extractor = read_dump(tmp_path / "room.h5"), load_encoder("resnet50_small").extractor
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    seen = [encoded_as(scene, extractor, patches=False, pixels=pixels) for pixels in (None, 80, 40)]
+    assert np.array_equal(seen[0].features, seen[1].features)
+    small = reduced(torch.from_numpy(np.stack([scene.views[state] for state in range(8)])), 40)
+    assert small.shape == (8, 30, 40, 3)
+    np.testing.assert_allclose(seen[2].features, load_encoder("resnet50_small")(small), rtol=1e-3, atol=1e-3)
+    assert not np.allclose(seen[2].features, seen[0].features, rtol=1e-2)
+    # What a dump holds is made anew, as it was made of sharp views; in a tour, and of further looks, it is kept.
+    assert np.array_equal(encoded_as(seen[0], extractor, patches=False, pixels=40).features, seen[2].features)
+    kept = replace(seen[0], source="tour"), replace(seen[0], look_features=seen[0].features[None])
+    assert all(encoded_as(one, extractor, patches=False, pixels=40) is one for one in kept)

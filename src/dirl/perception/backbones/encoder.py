@@ -105,6 +105,17 @@ def resized(views: Tensor, size: tuple[int, int]) -> Tensor:
     return images
 
 
+def reduced(views: Tensor, pixels: int | None) -> Tensor:
+    """Return views, uint8 ``[B, H, W, 3]``, at most so many pixels wide: wider ones are reduced; None = as they are.
+
+    A network that learned from coarse views is too sure of what it tells by the details of sharp ones.
+    """
+    height, width = views.shape[1:3]
+    if pixels is None or width <= pixels:
+        return views
+    return resized(views, (max(1, round(height * pixels / width)), pixels)).to(torch.uint8).to(views.device)
+
+
 def weights_hash(parameters: Mapping[str, Tensor]) -> str:
     """Return ``sha256:`` and 64 digits over a state_dict's names, shapes and values (as float32), in order of names."""
     digest = hashlib.sha256()

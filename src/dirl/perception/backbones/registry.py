@@ -1,6 +1,7 @@
 """The available encoders by name, and the features of many views."""
 
 import hashlib
+import math
 import os
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -19,7 +20,7 @@ from tqdm import tqdm
 from dirl.config.components import check_choice, make, tried
 from dirl.config.files import own_options
 from dirl.perception.backbones.efficientnet import lite0_encoder
-from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, staged_encoder, weights_hash
+from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, reduced, staged_encoder, weights_hash
 from dirl.perception.backbones.patches import CELLS, FINE, PATCH_SIZE, load_projection, patch_attributes
 from dirl.perception.backbones.resnet import (
     MEAN,
@@ -134,20 +135,25 @@ def packaged_encoder(extractor: str) -> str | None:
     return next((name for name in names if load_encoder(name).extractor == extractor), None)
 
 
-def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
+def encoded_as(scene: Scene, extractor: str, *, patches: bool, pixels: int | None = None) -> Scene:
     """Encode a scene's views by an encoder of the package; return the scene as it is if that is not possible.
 
-    ``extractor`` describes the encoder, see `Scene.extractor`; ``patches`` says whether they are needed too. The result
-    is kept in the folder ``dirl`` of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), if that can be written.
+    ``extractor`` describes the encoder, see `Scene.extractor`; ``patches`` says whether they are needed too, and
+    ``pixels`` to what width views are `reduced`. The result is kept in the folder ``dirl`` of the user's cache
+    (``XDG_CACHE_HOME``, else ``~/.cache``), if that can be written.
     """
     along = scene.along if scene.extractor == extractor else None  # a file has no views to encode them anew
-    enough = scene.extractor == extractor and (scene.patches is not None or not patches)
-    if enough or scene.views is None:
+    if scene.views is None:
+        return scene
+    # In a tour no network reads what is likened to the goal: the sharper the better. Of looks there are no views.
+    if scene.source.startswith("tour") or scene.looks > 1 or scene.views[0].shape[1] <= (pixels or math.inf):
+        pixels = None
+    if scene.extractor == extractor and (scene.patches is not None or not patches) and pixels is None:
         return scene
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # "~" itself where nobody has a home
     kept = None
     if isinstance(scene.views, FileViews):
-        wanted = f"{file_digest(scene.views.path)} {extractor} {patches}"
+        wanted = f"{file_digest(scene.views.path)} {extractor} {patches} {pixels}"
         kept = Path(home) / "dirl" / f"{scene.name}_{hashlib.sha256(wanted.encode()).hexdigest()[:16]}.h5"
         with suppress(SceneError, OSError):  # what is missing, damaged or of another encoder is made anew
             dump = read_dump(kept)
@@ -160,7 +166,7 @@ def encoded_as(scene: Scene, extractor: str, *, patches: bool) -> Scene:
         print(f"{scene.name}: its views are encoded with {name}, once; kept in {kept.parent}", flush=True)
     fine = patches and name == LITE  # single photos are recognised by them
     encoder = load_encoder(name, patches=patches, fine_patches=fine)
-    views = (scene.views[state] for state in range(len(scene)))
+    views = (reduced(torch.tensor(scene.views[state])[None], pixels)[0].numpy() for state in range(len(scene)))
     features, parts = encode_all(encoder, views, len(scene), scene.origin)
     encoded = replace(scene, features=features, patches=parts, along=along, extractor=extractor)
     if kept is None:

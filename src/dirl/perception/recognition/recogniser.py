@@ -244,6 +244,7 @@ def set_memory_threshold(memory: nn.Module | None, recogniser: Recogniser) -> No
                 f"episodic_memory=localising weighs log odds, and {type(recogniser).__name__} has none: "
                 "add recogniser=learned"
             )
+        memory.exact = is_exact(recogniser)  # type: ignore[assignment]
     elif recogniser.thresholds is not None:
         memory.threshold = recogniser.thresholds.memory  # type: ignore[assignment]
 
