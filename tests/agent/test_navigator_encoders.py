@@ -22,16 +22,15 @@ def resnet50():
     return load_encoder("resnet50_small")
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory, resnet50):
-    """The folder of a run on features that claim to be the shipped encoder's."""
-    return finished_run(tmp_path_factory.mktemp("run"), resnet50.extractor)
-
-
 def finished_run(folder, extractor):
     """The folder of a run on features which claim to be of that extractor."""
     trained(folder, make_world([grid_scene(feature_width=2048, extractor=extractor)]))
     return folder
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, resnet50):
+    return finished_run(tmp_path_factory.mktemp("run"), resnet50.extractor)
 
 
 def test_an_encoder_is_loaded_by_name_and_compared_by_what_it_says_of_itself(run, resnet50):

@@ -6,7 +6,6 @@ from tensordict import TensorDict
 from dirl.evaluation import episodes
 from dirl.evaluation.experts import ShortestPathExpert
 
-RIGHT, BACK = 1, 3
 COUNTED = ("success", "steps", "false_stop", "missed_stop")
 
 

@@ -23,6 +23,19 @@ def told(right, ahead, sure=8.0):
     return displacement.flatten(2).log_softmax(2).view_as(displacement)
 
 
+def believed(*goals, sure=8.0):
+    """What visits at the start tell, that say to the right and ahead where the goal lies."""
+    belief = GoalBelief(1)
+    for right, ahead in goals:
+        belief.see(told(right, ahead, sure), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
+    return belief
+
+
+def arrived(memory, *odds, costs=lambda chosen: torch.ones(len(chosen), 4, 4)):
+    """One agent at its first place, by the log odds that its views show the goal."""
+    return memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), torch.tensor([odds]), costs)
+
+
 def most_likely(belief):
     """Where the goal is believed to be, to the right of and ahead of the start."""
     axis = torch.arange(-5.0, 6.0)
@@ -31,30 +44,25 @@ def most_likely(belief):
 
 
 @pytest.mark.parametrize(
-    ("position", "heading", "right", "ahead"),
-    [((0, 0), 0, 2, 3), ((0, 0), 1, -3, 2), ((1, -1), 0, 1, 4), ((1, 2), 2, -1, -1), ((-1, 0), 3, 3, -3)],
+    ("position", "heading", "right", "ahead", "turns", "lies"),
+    [
+        ((0, 0), 0, 2, 3, 4, [2, 3]),
+        ((1, 2), 2, -1, -1, 4, [2, 3]),
+        ((-1, 0), 3, 3, -3, 4, [2, 3]),
+        ((0, 0), 1, 0, 3, 8, [2, 2]),  # turns of 45 degrees lead to diagonals
+    ],
 )
-def test_every_visit_tells_of_the_same_place(position, heading, right, ahead):
-    """The goal is two moves to the right of the start and three ahead."""
+def test_every_visit_tells_of_the_same_place(position, heading, right, ahead, turns, lies):
     belief = GoalBelief(1)
-    belief.see(told(right, ahead), torch.tensor([position]).float(), torch.tensor([heading]), turns=4)
-    assert most_likely(belief) == [2, 3]
-
-
-def test_turns_of_45_degrees_lead_to_diagonals():
-    belief = GoalBelief(1)
-    belief.see(told(0, 3), torch.zeros(1, 2), torch.tensor([1]), turns=8)
-    assert most_likely(belief) == [2, 2]
+    belief.see(told(right, ahead), torch.tensor([position]).float(), torch.tensor([heading]), turns=turns)
+    assert most_likely(belief) == lies
 
 
 def test_visits_that_agree_make_sure_and_one_that_does_not_leaves_doubt():
-    goal, sure = torch.tensor([[[2.0, 3.0]]]), []
-    for others in ([], [(2, 3)], [(2, 3), (2, 3)], [(-2, -3)]):
-        belief = GoalBelief(1)
-        for right, ahead in [(2, 3), *others]:
-            belief.see(told(right, ahead, sure=3.0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
-        sure.append(belief.odds(goal).item())
-    assert sure[3] < sure[0] < sure[1] < sure[2] <= CLEAR
+    others, goal = ([(-2, -3)], [], [(2, 3)], [(2, 3), (2, 3)]), torch.tensor([[[2.0, 3.0]]])
+    sure = [believed((2, 3), *more, sure=3.0).odds(goal).item() for more in others]
+    assert sure == sorted(set(sure))
+    assert sure[-1] <= CLEAR
 
 
 def test_far_away_nothing_is_told_but_that_the_goal_is_unlikely():
@@ -81,15 +89,13 @@ def test_here_is_told_by_all_headings():
     torch.testing.assert_close(here_odds(told(0, 0).roll(1, 1)), here_odds(told(0, 0)))
 
 
-@pytest.mark.parametrize(("right", "ahead", "action"), [(0, 3, AHEAD), (0, -3, BACK), (0, 0, AHEAD)])
-def test_of_moves_not_tried_one_towards_the_goal_costs_less(right, ahead, action):
+@pytest.mark.parametrize(("ahead", "action"), [(3, AHEAD), (-3, BACK), (0, AHEAD)])
+def test_of_moves_not_tried_one_towards_the_goal_costs_less(ahead, action):
     """The policy prefers the move ahead a little; the costs are those of moves, not of turns."""
+    memory = LocalisingMemory()
     costs = torch.tensor([1.0, 9.0, 9.0, 1.1]).expand(1, 4, 4)
-    memory, odds = LocalisingMemory(), torch.full((1, 4), -9.0)
-    places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, lambda chosen: costs)
-    belief = GoalBelief(1)
-    belief.see(told(right, ahead), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
-    assert memory.plan(places, belief).argmax(1).item() == action
+    places = arrived(memory, -9.0, -9.0, -9.0, -9.0, costs=lambda chosen: costs)
+    assert memory.plan(places, believed((0, ahead))).argmax(1).item() == action
 
 
 def test_which_place_it_is_the_locator_tells_and_which_heading_the_recogniser():
@@ -113,88 +119,77 @@ def test_which_place_it_is_the_locator_tells_and_which_heading_the_recogniser():
 
 def test_a_memory_stops_at_a_place_that_looks_little_like_the_goal_where_the_goal_is_believed_to_be():
     memory = LocalisingMemory(neighbour=0.0)
-    places = memory.begin(1)
-    odds = torch.tensor([[1.0, -9.0, -9.0, -9.0]])
-    places = memory.arrive(places, torch.zeros(1, 0, 4), odds, lambda chosen: torch.full((len(chosen), 4, 4), 1.4))
-    here, elsewhere = GoalBelief(1), GoalBelief(1)
-    here.see(told(0, 0), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
-    elsewhere.see(told(0, 1), torch.zeros(1, 2), torch.zeros(1).long(), turns=4)
-    assert memory.stops(places, here).item()
-    assert not memory.stops(places, elsewhere).item()
+    places = arrived(memory, 1.0, -9.0, -9.0, -9.0, costs=lambda chosen: torch.full((len(chosen), 4, 4), 1.4))
+    assert memory.stops(places, believed((0, 0))).item()
+    assert not memory.stops(places, believed((0, 1))).item()
 
 
 def test_where_the_goal_is_believed_to_lie_behind_an_exit_a_place_that_looks_like_it_is_not_certain():
-    memory = LocalisingMemory(neighbour=0.0, elsewhere=1.0)
-    odds = torch.tensor([[9.0, -9.0, -9.0, -9.0]])
-    places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, lambda chosen: torch.ones(len(chosen), 4, 4))
-    belief = GoalBelief(1)
+    memory, belief = LocalisingMemory(neighbour=0.0, elsewhere=1.0), GoalBelief(1)
+    places = arrived(memory, 9.0, -9.0, -9.0, -9.0)
     belief.posterior[0] = math.exp(-4) / ROOM  # unlikely anywhere, here as well
     assert memory.stops(places, belief).item()
     belief.posterior[0, REACH + 1, REACH] = 1.0  # but a move ahead
     assert not memory.stops(places, belief).item()
 
 
-@pytest.mark.parametrize(("odds", "alone", "believed"), [(2.5, True, False), (3.5, True, True)])
-def test_more_is_asked_of_a_stop_where_a_belief_is_added(odds, alone, believed):
+def test_more_is_asked_of_a_stop_where_a_belief_is_added():
     """Before anything was seen a belief changes no odds, but the doubt that is left must be less."""
-    memory = LocalisingMemory(neighbour=0.0, elsewhere=1 / 5, confidence=0.95)
-    seen = torch.tensor([[odds, -9.0, -9.0, -9.0]])
+    memory, belief = LocalisingMemory(neighbour=0.0, elsewhere=1 / 5, confidence=0.95), GoalBelief(1)
+    belief.posterior[:] = 1 / ROOM  # likelier nowhere
     walls = torch.full((1, 4, 4), math.inf)
     walls[0, 0, AHEAD] = 1.0  # one move was not tried
-    places = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), seen, lambda _: walls)
-    belief = GoalBelief(1)
-    belief.posterior[:] = 1 / ROOM  # likelier nowhere
-    assert memory.stops(places).item() == alone
-    assert memory.stops(places, belief).item() == believed
+    for odds, enough in ((2.5, False), (3.5, True)):
+        places = arrived(memory, odds, -9.0, -9.0, -9.0, costs=lambda _: walls)
+        assert memory.stops(places).item()
+        assert memory.stops(places, belief).item() == enough
 
 
 @pytest.mark.parametrize(("stayed", "places"), [(None, 2), (-5.0, 2), (5.0, 1)])
 def test_a_move_that_was_blocked_leads_to_no_new_place(stayed, places):
     """Without what the locator tells, a move ahead leads to a new place where nothing looks alike."""
-    memory, unlike = LocalisingMemory(), torch.full((1, 1, 4), -1.0)
-    costs, odds = (lambda chosen: torch.ones(len(chosen), 4, 4)), torch.full((1, 4), -9.0)
-    walked = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, costs)
+    memory, odds = LocalisingMemory(), torch.full((1, 4), -9.0)
+    walked = arrived(memory, -9.0, -9.0, -9.0, -9.0)
     walked.action = torch.tensor([AHEAD])
     told = None if stayed is None else torch.tensor([stayed])
-    walked = memory.arrive(walked, unlike, odds, costs, stayed=told)
+    costs = torch.ones(1, 4, 4)
+    walked = memory.arrive(walked, torch.full((1, 1, 4), -1.0), odds, lambda _: costs, stayed=told)
     assert walked.position.shape[1] == places
 
 
 def test_views_that_return_leave_no_doubt_whatever_the_locator_tells_of_the_last_move():
     memory, surely = LocalisingMemory(temperature=8.0), torch.tensor([50.0])
-    costs, odds = (lambda chosen: torch.ones(len(chosen), 4, 4)), torch.full((1, 4), -9.0)
-    walked = memory.arrive(memory.begin(1), torch.zeros(1, 0, 4), odds, costs)
+    walked, odds, costs = arrived(memory, -9.0, -9.0, -9.0, -9.0), torch.full((1, 4), -9.0), torch.ones(1, 4, 4)
     walked.action = torch.tensor([AHEAD])
     for exact, views, stayed, places in ((False, -20.0, surely, 1), (True, -20.0, surely, 2), (True, 20.0, -surely, 1)):
         memory.exact = exact
         alike = torch.tensor([[[views, -20.0, -20.0, -20.0]]])
-        assert memory.arrive(walked, alike, odds, costs, stayed=stayed).position.shape[1] == places
+        assert memory.arrive(walked, alike, odds, lambda _: costs, stayed=stayed).position.shape[1] == places
 
 
-@pytest.mark.parametrize(("action", "lies"), [(AHEAD, (0, -1)), (BACK, (0, 1))])
-def test_where_an_agent_was_a_step_ago_tells_whether_it_moved(action, lies):
+def step_ago(agent, where, sure):
+    """What an agent sees now, of which is told where it was a step ago."""
+    return SimpleNamespace(inputs=agent.before, displacement=lambda before: told(*where, sure=sure))
+
+
+def test_where_an_agent_was_a_step_ago_tells_whether_it_moved():
     agent = Localising(LocalisingMemory(), 4)
-    agent.before, agent.action = torch.zeros(1, 4), torch.tensor([action])
-    for where, sign in ((lies, -1), ((0, 0), 1)):
-        now = SimpleNamespace(inputs=agent.before, displacement=lambda before, where=where: told(*where, sure=3.0))
-        assert agent.stayed(now).item() == pytest.approx(3.0 * sign)
-    agent.action = torch.tensor([RIGHT])
-    assert agent.stayed(now).item() == 0
+    agent.before = torch.zeros(1, 4)
+    for action, where, sign in ((AHEAD, (0, -1), -1), (BACK, (0, 1), -1), (BACK, (0, 0), 1), (RIGHT, (0, 0), 0)):
+        agent.action = torch.tensor([action])
+        assert agent.stayed(step_ago(agent, where, 3.0)).item() == pytest.approx(3.0 * sign)
     agent.before = None  # at the start of an episode
-    assert agent.stayed(now) is None
+    assert agent.stayed(step_ago(agent, (0, 0), 3.0)) is None
 
 
 def test_how_long_a_move_is_is_learned_from_moves_and_what_was_told_by_another_length_is_forgotten():
-    agent, belief = Localising(LocalisingMemory(), 4), GoalBelief(1)
-    start, east = torch.zeros(1, 2), torch.zeros(1).long()
-    belief.see(told(0, 4), start, east, turns=4)
+    agent, belief = Localising(LocalisingMemory(), 4), believed((0, 4))
     assert belief.odds(torch.tensor([[[0.0, 4.0], [0.0, 2.0]]]))[0].diff() < 0
     agent.before, agent.action = torch.zeros(1, 4), torch.tensor([AHEAD])
     for where in ((0, -2), (0, 0)):  # the second move is blocked
-        now = SimpleNamespace(inputs=agent.before, displacement=lambda before, where=where: told(*where, sure=9.0))
-        assert agent.stayed(now).sign().item() == (1 if where == (0, 0) else -1)
+        assert agent.stayed(step_ago(agent, where, 9.0)).sign().item() == (1 if where == (0, 0) else -1)
         assert agent.lengths.argmax().item() == 1  # two cells
-    belief.see(told(0, 2), start + torch.tensor([0.0, 1.0]), east, turns=4, length=torch.tensor([2]))
+    belief.see(told(0, 2), torch.tensor([[0.0, 1.0]]), torch.zeros(1).long(), turns=4, length=torch.tensor([2]))
     assert most_likely(belief) == [0, 2]
     belief.posterior.zero_()
     belief.posterior[0, REACH + 4, REACH] = 1.0

@@ -37,7 +37,7 @@ def views(count, of=4):
 
 
 @pytest.mark.parametrize("shown", [1, 4])
-def test_facing_another_view_is_to_see_the_views_turned(shown):
+def test_facing_another_view_is_to_see_the_views_turned(shown, monkeypatch):
     tells, seen, goal = locator(), torch.rand(5, 4, 8), torch.rand(5, 4, 8)
     patches, goal_patches = views(5), views(5, shown)
     located = tells(seen, goal, patches, goal_patches)
@@ -46,6 +46,8 @@ def test_facing_another_view_is_to_see_the_views_turned(shown):
     turned = tells(seen.roll(-1, 1), goal, patches.roll(-1, 1), goal_patches)
     torch.testing.assert_close(turned, located.roll(-1, 1))
     assert not torch.allclose(tells(seen, goal), located)
+    monkeypatch.setattr(module, "PAIRS_AT_ONCE", 2)  # many visits are compared some at a time
+    torch.testing.assert_close(tells(seen, goal, patches, goal_patches), located)
 
 
 def test_what_the_views_of_a_goal_tell_is_added_up_in_any_order():
@@ -66,15 +68,7 @@ def test_patches_are_compared_by_column_and_standardised():
     assert not torch.allclose(fine(seen + 5, goal + 5), told, atol=1e-2)
 
 
-def test_many_visits_are_compared_some_at_a_time(monkeypatch):
-    tells, rows = locator(), (torch.rand(5, 4, 8), torch.rand(5, 4, 8), views(5), views(5))
-    whole = tells(*rows)
-    monkeypatch.setattr(module, "PAIRS_AT_ONCE", 2)
-    torch.testing.assert_close(tells(*rows), whole)
-
-
-@pytest.mark.parametrize("fine", [True, False])
-@pytest.mark.parametrize("photo", [True, False])
+@pytest.mark.parametrize(("photo", "fine"), [(True, True), (False, False)])
 def test_cameras_and_worlds_are_told_the_same(photo, fine):
     features, patches = torch.rand(20, 6), torch.randn(20, *(FINE_SHAPE if fine else PATCH_SHAPE))
     table = FeatureTable(features, patches=coarse(patches))
@@ -90,8 +84,7 @@ def test_cameras_and_worlds_are_told_the_same(photo, fine):
     torch.testing.assert_close(told_cameras, told(seen, goal))
 
 
-@pytest.mark.parametrize("fine", [True, False])
-@pytest.mark.parametrize("sweeps", [True, False])
+@pytest.mark.parametrize(("sweeps", "fine"), [(True, True), (False, True), (True, False)])
 def test_a_sweep_is_told_where_it_was_but_not_where_its_goal_lies(sweeps, fine):
     world = make_world([grid_scene(3, 2, goals=[0, 7], patches="fine" if fine else False)])
     agent = SimpleNamespace(locator=locator(16), features=FeatureTable(world.features))

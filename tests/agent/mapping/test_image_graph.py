@@ -1,14 +1,19 @@
-"""Image graphs: what was seen is merged where it looks the same, and leads to wherever the walk has been."""
+"""Image graphs: what was seen is merged where it looks the same; their files; and navigation by one as a policy."""
 
 import pytest
 import torch
+from policies import always, run_episodes
 from refusals import refused
 from rooms import grid_scene
 
-from dirl.agent.mapping import ImageGraph
-from dirl.agent.mapping.panoramas import UNKNOWN
+from dirl.agent.mapping import GraphMemory, GuidedPolicy, ImageGraph, load_graph, save_graph
 from dirl.agent.mapping.walks import explore, step
-from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
+from dirl.envs import SurroundingViews
+from dirl.evaluation.episodes import every_start
+from dirl.evaluation.protocol import metrics
+from dirl.runs.checkpoints import save_checkpoint
+from dirl.scenes import make_world
+from dirl.scenes.graph import AHEAD, RIGHT
 
 ROOM = {"width": 4, "depth": 3, "blocked": [(1, 1)], "feature_width": 64}
 
@@ -39,20 +44,6 @@ def test_a_walk_through_everything_gives_the_scene(headings):
         assert found == [node_of[step(scene.graph, state, action)] for action in range(4)]
     distances = graph.plan([node_of[7]])[:, 0]
     assert distances[node_of].tolist() == scene.distances[:, 7].tolist()
-
-
-def test_a_move_is_known_in_all_four_forms():
-    scene = grid_scene(3, 1, feature_width=64)
-    seen = looks(scene)
-    graph = ImageGraph()
-    assert graph.see(seen[5]) == 0  # in the middle, facing the third place
-    assert graph.see(seen[9], AHEAD) == 4
-    assert (graph.moves[0][AHEAD], graph.moves[4][BACK]) == (4, 0)
-    assert (graph.moves[2][BACK], graph.moves[6][AHEAD]) == (6, 2)
-    assert graph.moves[0][BACK] == graph.moves[2][AHEAD] == UNKNOWN
-    assert graph.see(seen[9], AHEAD) == 4  # a wall
-    assert graph.moves[4][AHEAD] == graph.moves[6][BACK] == 4 or (graph.moves[4][AHEAD], graph.moves[6][BACK]) == (4, 6)
-    assert [graph.moves[4][RIGHT], graph.moves[4][LEFT]] == [5, 7]
 
 
 def test_what_stands_still_does_not_flicker():
@@ -138,6 +129,67 @@ def test_what_was_seen_is_only_changed_by_what_is_seen_twice(end):
         graph.lose()
 
 
-@pytest.mark.parametrize("options", [{"threshold": 2.0}, {"turns": 6}])
-def test_options_are_checked(options):
-    refused(f"{next(iter(options))}=", ImageGraph, **options)
+@pytest.fixture
+def saved(tmp_path):
+    graph = ImageGraph(0.85)
+    explore(grid_scene(), graph, 0, 12)
+    return graph, save_graph(graph, tmp_path / "map", extractor="random")
+
+
+def test_a_map_comes_back_as_it_was(saved):
+    graph, folder = saved
+    again = load_graph(folder, extractor="random")
+    assert (again.moves, again.observed, again.at) == (graph.moves, graph.observed, None)
+    assert (again.threshold, again.turns) == (0.85, 4)
+    assert (again.views == graph.views).all()
+    look = graph.views[1].roll(-1, 0)
+    assert again.locate(look) == graph.locate(look) == 5
+    assert sorted(path.name for path in folder.iterdir()) == ["map.pt"]
+
+
+def test_a_map_of_another_extractor_a_file_of_something_else_and_none_are_refused(saved):
+    refused("was made with another extractor: 'random', not 'resnet'", load_graph, saved[1], extractor="resnet")
+    refused("^threshold=2: expected a correlation", ImageGraph, threshold=2.0)
+    file = saved[1] / "map.pt"
+    file.write_bytes(file.read_bytes().replace(b"random", b"resnet"))
+    refused("is damaged", load_graph, saved[1])
+    save_checkpoint(file, {"turns": 4})
+    refused("is no map of dirl", load_graph, saved[1])
+    file.unlink()
+    refused("holds no map", load_graph, saved[1])
+
+
+@pytest.fixture(scope="module")
+def world():
+    rooms = [
+        grid_scene(4, 3, name="a", blocked=[(1, 1)], feature_width=64, goals=(0, 21, 42), seed=0),
+        grid_scene(3, 3, name="b", headings=8, feature_width=64, goals=(5, 50), seed=1),
+    ]
+    return make_world(rooms)
+
+
+def walked(policy, world, view="surrounding", **options):
+    observation = SurroundingViews(world, view)
+    return run_episodes(policy, world, every_start(world), observation=observation, max_steps=60, **options)
+
+
+@pytest.mark.parametrize(("view", "greedy"), [("surrounding", True), ("front", True), ("surrounding", False)])
+def test_after_one_walk_it_goes_anywhere_also_by_drawn_actions(world, view, greedy):
+    found = metrics(walked(GraphMemory(world), world, view, greedy=greedy))
+    assert found["sr"] == 1
+    assert found["spl"] > 0.98
+
+
+def test_it_goes_to_what_it_is_shown_and_knows_less_of_a_short_walk(world):
+    other = torch.tensor([1, 2, 0, 4, 3])
+    assert metrics(walked(GraphMemory(world), world, shown=other))["sr"] < 0.6  # its own goal is missed
+    assert metrics(walked(GraphMemory(world, steps_per_state=0.2), world))["spl"] < 0.78
+
+
+def test_the_last_steps_are_the_policys(world):
+    memory = GraphMemory(world)
+    led = walked(GuidedPolicy(always(RIGHT), memory, last_steps=0), world)
+    assert metrics(led)["sr"] == 1
+    near = walked(GuidedPolicy(always(RIGHT), memory, last_steps=2), world)
+    alone = walked(always(RIGHT), world)
+    assert metrics(alone)["sr"] < metrics(near)["sr"] < 1
