@@ -44,14 +44,23 @@ def test_a_turn_is_measured_on_the_spot_and_while_walking(matcher, turn):
         assert motion.turned == pytest.approx(turn, abs=5)
 
 
+def turned(degrees):
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+
+
+def in_pixels(motion):
+    """The homography of a motion of the camera, ``[3, 3]``, in views of 320x180 pixels."""
+    camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
+    return camera @ motion @ np.linalg.inv(camera)
+
+
 def test_a_turn_by_more_than_a_view_shows_is_none(matcher, monkeypatch):
     """Of views a full turn apart, or of blank walls, points agree by chance."""
     views = matcher.describe([look(6, 2.5, 0)])
     for turn, told in ((50, True), (141, False)):
-        cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-        camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
-        turned = camera @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]] @ np.linalg.inv(camera)
-        monkeypatch.setattr(matcher, "_fitted", lambda *_, found=turned, **__: (found, 20))
+        found = in_pixels(turned(turn))
+        monkeypatch.setattr(matcher, "_fitted", lambda *_, found=found, **__: (found, 20))
         assert (matcher.motion(views, views, 0, (180, 320), 65.0) is not None) == told
 
 
@@ -59,10 +68,7 @@ def test_a_turn_by_more_than_a_view_shows_is_none(matcher, monkeypatch):
 def test_who_does_not_turn_walks(matcher, monkeypatch, turn, stretch, on_the_spot):
     """A few steps towards a wall stretch it as little as noise does; without a turn that tells walking."""
     views = matcher.describe([look(6, 2.5, 0)])
-    cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
-    rotation = np.diag([1, 1, 1 + stretch]) @ [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
-    found = camera @ rotation @ np.linalg.inv(camera)
+    found = in_pixels(np.diag([1, 1, 1 + stretch]) @ turned(turn))
     monkeypatch.setattr(matcher, "_fitted", lambda *_, **__: (found, 20))
     monkeypatch.setattr(matcher._cv2, "decomposeEssentialMat", lambda _: (np.eye(3), np.eye(3), None))
     assert matcher.motion(views, views, 0, (180, 320), 65.0).on_the_spot == on_the_spot
@@ -71,8 +77,7 @@ def test_who_does_not_turn_walks(matcher, monkeypatch, turn, stretch, on_the_spo
 def test_who_walks_at_a_wall_aslant_does_not_turn(matcher, monkeypatch):
     """All points are of one plane and agree on another motion, too: a turn, and a walk aside."""
     views = matcher.describe([look(6, 2.5, 0)])
-    camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
-    found = camera @ (np.eye(3) - np.outer([0, 0, 0.3], [0.6, 0, 0.8])) @ np.linalg.inv(camera)
+    found = in_pixels(np.eye(3) - np.outer([0, 0, 0.3], [0.6, 0, 0.8]))
     monkeypatch.setattr(matcher, "_fitted", lambda name, *_, **__: (found if name == "findHomography" else None, 20))
     motion = matcher.motion(views, views, 0, (180, 320), 65.0)
     assert abs(motion.turned) < 0.5

@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 from rooms import grid_scene, renumbered
 
 from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.recognition.recogniser import TemplateStop
-from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import SceneError, read_dump, write_dump
 from dirl.scenes.views import encode
 
@@ -21,17 +19,6 @@ def with_views(folder, room, view=None):
     views = [rng.integers(0, 256, (30, 40, 3), np.uint8) if view is None else view(s) for s in range(len(room))]
     write_dump(folder / "room.h5", room, map(encode, views))
     return read_dump(folder / "room.h5")
-
-
-def changed_scene(room, **changes):
-    arrays = {name: getattr(room, name).copy() for name in ("graph", "positions", "headings", "features")}
-    for name, (where, value) in changes.items():
-        arrays[name][where] = value
-    return replace(room, **arrays)
-
-
-def problems_of(room):
-    return "\n".join(inspect_scene(room).problems)
 
 
 def test_a_good_room_has_no_problems(tmp_path):
@@ -55,17 +42,16 @@ def test_parts_that_are_not_connected_are_found():
     assert "goal 20 lies outside the largest part" in text
 
 
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"graph": ((0, 0), -1)}, "state 12: a move back leads to state 0, and the opposite move does not"),
-        ({"headings": ([5, 6], 0)}, "state 4: a turn goes from heading 0 to 0, but a full circle has 4 turns (3 "),
-        ({"positions": (slice(None), 0)}, "a move ahead leads to state 12 at the same location (14 such moves)"),
-        ({"features": (9, 2.5)}, "state 9 has features that are all equal (1 such states): encode anew"),
-    ],
-)
-def test_a_problem_names_the_first_state_and_what_to_do(changes, says):
-    assert says in problems_of(changed_scene(grid_scene(goals=()), **changes))
+def test_a_problem_names_the_first_state_and_what_to_do():
+    for name, where, value, says in (
+        ("graph", (0, 0), -1, "state 12: a move back leads to state 0, and the opposite move does not"),
+        ("headings", [5, 6], 0, "state 4: a turn goes from heading 0 to 0, but a full circle has 4 turns (3 "),
+        ("positions", slice(None), 0, "a move ahead leads to state 12 at the same location (14 such moves)"),
+        ("features", 9, 2.5, "state 9 has features that are all equal (1 such states): encode anew"),
+    ):
+        values = getattr(grid_scene(), name).copy()
+        values[where] = value
+        assert says in "\n".join(inspect_scene(replace(grid_scene(goals=()), **{name: values})).problems)
 
 
 def test_views_that_show_nothing_or_the_same_twice_are_found(tmp_path):
@@ -74,22 +60,22 @@ def test_views_that_show_nothing_or_the_same_twice_are_found(tmp_path):
             return np.full((30, 40, 3), 99, np.uint8)
         return np.random.default_rng(99 if state in (11, 12) else state).integers(0, 256, (30, 40, 3), np.uint8)
 
-    text = problems_of(with_views(tmp_path, grid_scene(), view))
+    text = "\n".join(inspect_scene(with_views(tmp_path, grid_scene(), view)).problems)
     assert "state 7 sees next to nothing (1 blank views)" in text
     assert "state 12 has the very same view as state 11 (1 such states)" in text
 
 
 def test_ambiguous_pairs_are_found_worst_first():
-    """Places 0 and 5, six actions apart, look the same, or nearly."""
+    """Places 0 and 5 look the same, or nearly."""
     room = grid_scene(goals=(0, 9), feature_width=64)
-    alike = room.features[:4].copy()
-    alike[3] += 0.1 * np.random.default_rng(0).random(64, np.float32)
-    found = inspect_scene(changed_scene(room, features=(slice(20, 24), alike)), TemplateStop())
+    features = room.features.copy()
+    features[20:] = features[:4]
+    features[23] += 0.1 * np.random.default_rng(0).random(64, np.float32)
+    found = inspect_scene(replace(room, features=features), TemplateStop())
     pairs = [(a, b, distance) for a, b, _, distance in found.ambiguous]
     assert sorted(pairs) == [(s, s + 20, room.distances[s, s + 20]) for s in range(4)]
     scores = [score for _, _, score, _ in found.ambiguous]
     assert scores == sorted(scores, reverse=True)
-    assert scores[0] == pytest.approx(1, abs=0.01)
     text = "\n".join(found.problems)
     assert "(4 pairs above 0.9): on its way to one an agent stops at the other" in text
     assert "goal 0 is taken for reached in 1 other states, most in state 20 (" in text
@@ -106,14 +92,3 @@ def test_any_recogniser_finds_ambiguous_states():
     assert found.ambiguous[0][:2] == (3, 20)
     with pytest.raises(SceneError, match="grid_scene: has no patches, which the recogniser compares"):
         inspect_scene(room, TemplateStop(0.0, "front", Learned()))
-
-
-def test_the_pictures_show_the_room(tmp_path):
-    room = with_views(tmp_path, grid_scene(4, 2, headings=12, blocked=[(2, 0), (2, 1)], goals=(0,)))
-    found = inspect_scene(room)
-    draw_scene_map(room, found.parts, tmp_path / "map.png")
-    draw_contact_sheet(room, tmp_path / "sheet.jpg")
-    for name in ("map.png", "sheet.jpg"):
-        with Image.open(tmp_path / name) as image:
-            assert min(image.size) > 150, name
-            assert np.asarray(image.convert("L")).std() > 10, name
