@@ -1,46 +1,41 @@
-"""Scenes from simulators: a grid that a double walks on, and the simulators themselves."""
+"""Scenes from simulators: a grid that a double walks on, the simulators themselves, and a double of AI2-THOR's."""
 
 import os
+import sys
 from ctypes.util import find_library
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+from field import Field
 from refusals import refused
 
-from dirl.config.files import load_simulator
 from dirl.scenes import read_dump, write_dump
 from dirl.scenes.live import Dumped, Pose, Simulated, state_pose
 from dirl.sources.miniworld import MiniWorld
 from dirl.sources.simulators import take_scene
+from dirl.sources.thor import Thor, start_controller
 from dirl.sources.vizdoom import VizDoom
 
 
-class Grid:
-    """A simulator whose agent walks on cells of a metre; a cell with ``one_way`` can be entered, but not left."""
-
-    name = "grid"
+class Grid(Field):
+    """An agent that walks on cells of a metre; a cell with ``one_way`` can be entered, but not left."""
 
     def __init__(self, cells, one_way=()):
+        super().__init__()
         self.cells, self.one_way, self.pose = set(map(tuple, cells)), set(one_way), Pose(0.5, 0.5, 90.0)
 
-    def place(self, pose):
-        self.pose = pose
-
     def push(self, metres):
-        radians = np.radians(self.pose.heading)
-        x, z = self.pose.x + metres * np.sin(radians), self.pose.z + metres * np.cos(radians)
-        here = (round(self.pose.x - 0.5), round(self.pose.z - 0.5))
-        there = (round(x - 0.5), round(z - 0.5))
+        x, z, heading = self.pose
+        end = x + metres * np.sin(np.radians(heading)), z + metres * np.cos(np.radians(heading))
+        here, there = (tuple(round(at - 0.5) for at in place) for place in ((x, z), end))
         if there not in self.cells or here in self.one_way:
             return False
-        assert np.allclose((x - 0.5, z - 0.5), there), "a move that ends between places"
-        self.pose = Pose(x, z, self.pose.heading)
+        assert np.allclose(np.array(end) - 0.5, there), "a move that ends between places"
+        self.pose = Pose(*end, heading)
         return True
-
-    def look(self, heading):
-        return np.full((16, 16, 3), heading / 360 * 255, np.uint8)
 
 
 @pytest.mark.parametrize(("turn", "diagonal"), [(90, False), (45, True), (30, False)])
@@ -69,43 +64,6 @@ def test_no_more_places_than_asked_for_and_the_nearest_and_what_makes_no_scene_i
     refused("turn=50: a turn must go into 90", take_scene, Grid([(0, 0), (1, 0)]), source="x", step=1.0, turn=50)
 
 
-def test_a_simulator_is_made_of_its_file_or_refused_in_one_line(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(f"_target_: {__name__}.Grid\ncells: [[0, 0], [1, 0]]\n")
-    assert load_simulator(str(file)).pose == Pose(0.5, 0.5, 90.0)
-    wrong = {
-        f"_target_: {__name__}.Nope": "there is no such class",
-        f"_target_: {__name__}.Grid\ncells: [[0, 0]]\nspeed: 3": "no option 'simulator.speed'",
-        "_target_: pathlib.PurePath": "has no method place, which every simulator has",
-    }
-    for text, message in wrong.items():
-        file.write_text(text)
-        refused(message, load_simulator, str(file))
-
-
-def walk(simulator, scene, step, turns, moves):
-    """Random moves in the live world and in its dump, from a random state.
-
-    Returns: the blocked moves that differ; the largest distance between the two, metres; of each step the mean
-    difference of the views, of 255; and in how many steps the view ahead is nearest to that of the dump's own state.
-    """
-    live, dumped = Simulated(simulator, step=step, turns=turns), Dumped(scene)
-    small = np.stack([scene.views[state][::4, ::4] for state in range(len(scene))]).astype(np.int16)
-    draws = np.random.default_rng(0)
-    first = state_pose(scene, int(draws.integers(len(scene))))
-    for world in (live, dumped):
-        world.reset(first)
-    differ, off, apart, own = 0, [], 0.0, 0
-    for action in draws.choice(4, moves, p=(0.4, 0.2, 0.2, 0.2)).tolist():
-        differ += live.step(action) != dumped.step(action)
-        apart = max(apart, float(np.hypot(*np.subtract(live.pose[:2], dumped.pose[:2]))))
-        views = live.views()
-        off.append(float(np.abs(views.astype(float) - dumped.views()).mean()))
-        distance = np.abs(small - views[0, ::4, ::4]).mean((1, 2, 3))
-        own += int(distance[dumped.state] == distance.min())
-    return differ, apart, off, own
-
-
 @pytest.fixture
 def miniworld():
     if not find_spec("miniworld"):  # importing it opens a window, unless `MiniWorld` does
@@ -123,14 +81,22 @@ def doom():
 
 @pytest.mark.parametrize(("kind", "step", "turn"), [("miniworld", 1.0, 45), ("doom", 2.0, 90)])
 def test_a_walk_in_the_live_simulator_sees_the_views_of_its_dump(kind, step, turn, request, tmp_path):
-    simulator = request.getfixturevalue(kind)
-    scene, views = take_scene(simulator, source=kind, step=step, turn=turn)
-    write_dump(tmp_path / "live.h5", scene, views)
-    differ, apart, off, own = walk(simulator, read_dump(tmp_path / "live.h5"), step, 360 // turn, 60)
-    assert differ == 0
-    assert apart < 0.05
-    assert max(off) < 8
-    assert own >= 58
+    simulator, draws = request.getfixturevalue(kind), np.random.default_rng(0)
+    write_dump(tmp_path / "live.h5", *take_scene(simulator, source=kind, step=step, turn=turn))
+    scene = read_dump(tmp_path / "live.h5")
+    small = np.stack([scene.views[state][::4, ::4] for state in range(len(scene))]).astype(np.int16)
+    live, dumped, own = Simulated(simulator, step=step, turns=360 // turn), Dumped(scene), 0
+    first = state_pose(scene, int(draws.integers(len(scene))))
+    for world in (live, dumped):
+        world.reset(first)
+    for action in draws.choice(4, 40, p=(0.4, 0.2, 0.2, 0.2)).tolist():
+        assert live.step(action) == dumped.step(action)
+        assert np.allclose(live.pose[:2], dumped.pose[:2], atol=0.05)
+        views = live.views()
+        assert np.abs(views.astype(float) - dumped.views()).mean() < 8
+        distance = np.abs(small - views[0, ::4, ::4]).mean((1, 2, 3))
+        own += int(distance[dumped.state] == distance.min())
+    assert own >= 38  # the view ahead is nearest to that of the dump's own state
 
 
 @pytest.mark.usefixtures("miniworld")
@@ -142,3 +108,80 @@ def test_places_and_names_that_the_simulators_do_not_have(tmp_path, doom):
     os.mkfifo(tmp_path / "pipe.wad")
     for name in ("x.wad", "pipe.wad"):
         refused(rf"{name}: not a readable WAD file", VizDoom, "map01", wad=str(tmp_path / name))
+
+
+ALONG = {0: (0, 1), 90: (1, 0), 180: (0, -1), 270: (-1, 0)}
+NOISE = 3e-7
+"""AI2-THOR's numbers are float32."""
+
+
+class Simulator:
+    """A double of the controller: it answers `step` with events as ai2thor 5.0 makes them, of a room on a grid."""
+
+    def __init__(self, *cells):
+        """``cells``: free ones (x, z), as multiples of the step, half a metre; without any Unity is gone."""
+        self.cells, self.heading = cells, 90
+        self.cell = cells[0] if cells else None
+
+    def step(self, action, **arguments):
+        if not self.cells:
+            raise RuntimeError(f"Error encountered when running action {action}\n in scene FloorPlan1.")
+        message = ""
+        if action == "Teleport":
+            assert set(arguments) == {"position", "rotation", "horizon", "standing"}
+            cell = tuple(round(2 * arguments["position"][axis]) for axis in "xz")
+            if cell in self.cells:
+                self.cell, self.heading = cell, round(arguments["rotation"]["y"])
+            else:
+                message = "Collided with: \nSink_3."
+        elif action in ("MoveAhead", "MoveBack"):
+            sign = 1 if action == "MoveAhead" else -1
+            to = tuple(at + sign * by for at, by in zip(self.cell, ALONG[self.heading], strict=True))
+            if to in self.cells:
+                self.cell = to
+            else:
+                message = "Wall is blocking Agent 0 from moving by (0.0000, 0.0000, 0.5000)."
+        at = {"x": self.cell[0] / 2 - NOISE, "y": 0.9009991884231567, "z": self.cell[1] / 2 + NOISE}
+        agent = {"position": at, "rotation": {"x": -0.0, "y": self.heading + NOISE, "z": 0.0}}
+        metadata = {"agent": agent, "lastActionSuccess": not message, "errorMessage": message}
+        frame = np.full((3, 4, 3), 60 * (self.heading // 90), np.uint8)
+        frame[2, 3] += 9  # what is of one colour would be refused
+        return SimpleNamespace(metadata=metadata, frame=frame)
+
+
+def test_the_controller_is_started_as_asked_and_its_failure_is_one_line(monkeypatch):
+    asked = {}
+
+    class Controller:
+        def __init__(self, **arguments):
+            asked.update(arguments)
+            if arguments["scene"] == "FloorPlan0":
+                raise ValueError("\nScene 'FloorPlan0' not contained in build.\nPlease choose one")
+
+    settings = {"step": 0.5, "height": 300, "width": 400, "field_of_view": 75, "headless": True}
+    monkeypatch.setitem(sys.modules, "ai2thor.controller", None)
+    refused(r"AI2-THOR is not installed .*: pip install 'dirl\[thor\]'", start_controller, "FloorPlan1", **settings)
+    names = ("ai2thor", "ai2thor.controller", "ai2thor.platform")
+    package, controller, platform = (ModuleType(name) for name in names)
+    controller.Controller, platform.CloudRendering = Controller, "the class"
+    for name, module in zip(names, (package, controller, platform), strict=True):
+        monkeypatch.setitem(sys.modules, name, module)
+    assert isinstance(start_controller("FloorPlan1", **settings), Controller)
+    fixed = {"snapToGrid": True, "rotateStepDegrees": 90, "gridSize": 0.5}
+    camera = {"height": 300, "width": 400, "fieldOfView": 75, "platform": "the class"}
+    assert asked == {"scene": "FloorPlan1", **fixed, **camera}
+    told = r"scene=FloorPlan0: AI2-THOR does not start \(ValueError: Scene 'Fl"
+    refused(told, start_controller, "FloorPlan0", **settings)
+
+
+def test_it_is_walked_live():
+    world = Simulated(Thor(Simulator((0, 0), (0, 1)), "FloorPlan1"), step=0.5)
+    world.reset(Pose(0.0, 0.0, 90.0))
+    assert [world.step(action) for action in (0, 2, 0, 0)] == [False, True, True, False]  # towards a wall, left, on
+    assert np.allclose(world.pose, (0.0, 0.5, 0.0), atol=1e-5)
+    assert world.step(3)
+    assert np.allclose(world.pose, (0.0, 0.0, 0.0), atol=1e-5)
+    assert world.views()[:, 0, 0, 0].tolist() == [0, 60, 120, 180]  # the double's colour of each heading
+    assert np.allclose(world.pose, (0.0, 0.0, 0.0), atol=1e-5)
+    refused(r"FloorPlan1: .* put at 4\.00, 0\.00 m: Collided with: Sink_3", world.reset, Pose(4.0, 0.0, 0.0))
+    refused("FloorPlan1: AI2-THOR failed", Thor, Simulator(), "FloorPlan1")

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from refusals import refused
 
-from dirl.sources.video import Frame, Recording, photo_field_of_view, read_photo
+from dirl.sources.video import Recording, photo_field_of_view, read_photo
 
 WIDE, HIGH = 64, 48
 
@@ -20,28 +20,20 @@ def picture(value):
     return image
 
 
-def write(folder, names):
-    folder.mkdir(exist_ok=True)
-    for number, name in enumerate(names):
-        Image.fromarray(picture(10 * number)).save(folder / name)
-    return folder
-
-
 def shades(frames):
     return [int(frame.image[0, 0, 0]) for frame in frames]
 
 
-def test_images_are_in_the_order_in_which_people_number_them(tmp_path):
-    folder = write(tmp_path / "walk", [f"{number}.png" for number in range(12)])
+def test_images_are_in_the_order_in_which_people_number_them_and_none_is_left_out_that_is_not_read(tmp_path):
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    for number in range(12):
+        Image.fromarray(picture(10 * number)).save(folder / f"{number}.png")
     (folder / "notes.txt").write_text("a walk")
     recording = Recording(folder, every=0.5)
     assert shades(recording) == [10 * number for number in range(12)]
     assert [frame.time for frame in recording][:3] == [0.0, 0.5, 1.0]
     assert (recording.count, recording.left_out) == (12, ["notes.txt"])
-
-
-def test_pictures_that_are_not_read_are_refused_and_not_left_out(tmp_path):
-    folder = write(tmp_path / "walk", ["0.png", "2.png"])
     (folder / "1.heic").write_bytes(b"")
     refused(r"1\.heic \(1 of this kind\)", Recording, folder)
     (folder / "1.heic").unlink()
@@ -87,13 +79,22 @@ def test_frames_of_a_video_are_chosen_by_their_time_stamps(tmp_path):
     frames = list(Recording(make_video(tmp_path / "walk.mkv", times), every=0.4))
     assert np.allclose([frame.time for frame in frames], [0, 0.4, 0.8, 1.2, 1.6, *range(2, 12)], atol=0.01)
     assert abs(np.array(shades(frames)) - [0, 20, 40, 60, 80, *range(100, 200, 10)]).max() <= 3
-    assert isinstance(frames[0], Frame)
     assert frames[0].image.shape == (HIGH, WIDE, 3)
+    deep = make_video(tmp_path / "deep.mkv", [0, 1, 2], "ffv1", "yuv420p10le")  # of ten bits a channel
+    assert abs(np.array(shades(Recording(deep))) - [0, 10, 20]).max() <= 2
 
 
-def test_a_video_that_is_cut_off_is_refused(tmp_path):
+def test_a_video_that_is_cut_off_texts_and_lists_of_other_files_are_refused(tmp_path):
     file = make_video(tmp_path / "walk.mp4", [0.2 * number for number in range(20)])
     assert 3 <= len(list(Recording(file, every=1.0))) <= 5
+    texts = {
+        "notes.txt": "a text that ffmpeg would draw\n" * 40,
+        "list.mp4": "ffconcat version 1.0\nfile walk.mp4\n",
+        "list.m3u8": "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nwalk.mp4\n#EXT-X-ENDLIST\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+        refused("is no video that is read", Recording, tmp_path / name)
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) * 2 // 3])  # what is at its end says where the frames are
     refused("is no video that is read", Recording, file)
@@ -110,23 +111,6 @@ def test_a_video_of_a_camera_held_upright_is_turned(tmp_path):
     (turned, _), mark = list(Recording(file)), picture(0)[10:30, 10:20]
     assert turned.image.shape == (WIDE, HIGH, 3)
     assert abs(turned.image[10:20, HIGH - 30 : HIGH - 10].astype(int) - mark.max()).mean() < 30
-
-
-def test_a_video_of_ten_bits_a_channel_is_read(tmp_path):
-    file = make_video(tmp_path / "walk.mkv", [0, 1, 2], "ffv1", "yuv420p10le")
-    assert abs(np.array(shades(Recording(file))) - [0, 10, 20]).max() <= 2
-
-
-def test_texts_and_lists_of_other_files_are_no_videos(tmp_path):
-    make_video(tmp_path / "walk.mp4", [0, 1])
-    texts = {
-        "notes.txt": "a text that ffmpeg would draw\n" * 40,
-        "list.mp4": "ffconcat version 1.0\nfile walk.mp4\n",
-        "list.m3u8": "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nwalk.mp4\n#EXT-X-ENDLIST\n",
-    }
-    for name, text in texts.items():
-        (tmp_path / name).write_text(text)
-        refused("is no video that is read", Recording, tmp_path / name)
 
 
 @pytest.fixture(scope="module")

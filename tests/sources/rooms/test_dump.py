@@ -1,5 +1,6 @@
-"""Building rooms: what the checks find, what stands in the file, and that another machine builds the same."""
+"""Building rooms: what the checks find, what stands in the file, and many rooms by any number of processes."""
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -7,17 +8,27 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from closet import closet
+from closet import closet, start_with_closets
 from PIL import Image
 from refusals import refused
 
 pytest.importorskip("embreex")
-from dirl.perception.backbones import ResNet50, ViewEncoder, preprocess
-from dirl.scenes import read_dump
-from dirl.sources.rooms import build_room, built_in_rooms, check_room, describe_room
+
+from dirl.perception.backbones import ViewEncoder
+from dirl.perception.backbones.patches import patch_attributes
+from dirl.scenes import SceneError, load_scenes, read_dump
+from dirl.scenes.catalogue import split_of
+from dirl.scenes.io import processes
+from dirl.scenes.io.files import PREFIX
+from dirl.sources.rooms import build_room, built_in_rooms, check_room, describe_room, read_description
 from dirl.sources.rooms.checks import check_views, contrast, thumbnail
-from dirl.sources.rooms.description import Piece
+from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
+from dirl.sources.rooms.description import Material, Piece
 from dirl.sources.rooms.dump import Changes, look_views
+from dirl.sources.rooms.light import direct_light, standpoints
+from dirl.sources.rooms.mesh import Mesh
+from dirl.sources.rooms.sampling.sample import LOOK, look_around
+from dirl.sources.rooms.scenery import Scenery
 from dirl.sources.rooms.view import Renderer
 from dirl.sources.rooms.walkable import walk
 
@@ -27,17 +38,16 @@ REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02"
 SMALL = {"size": (24, 32), "fine": False}
 
 
-def problems(*pieces):
-    room = closet()
-    return check_room(replace(room, furniture=(*room.furniture, *pieces), grid=replace(room.grid, places=None)))
-
-
 @pytest.mark.parametrize("name", ["closet", *built_in_rooms()])
 def test_a_well_made_room_has_no_problems(name):
     assert check_room(closet() if name == "closet" else describe_room(name)) == []
 
 
 def test_furniture_that_meets_other_furniture_leaves_the_room_or_is_in_the_way_is_found():
+    def problems(*pieces):
+        room = closet()
+        return check_room(replace(room, furniture=(*room.furniture, *pieces), grid=replace(room.grid, places=None)))
+
     (found,) = problems(Piece("stool", (0.3, 0.3, 0.45), at=(1.6, 1.25)))
     assert found.startswith("[[furniture]] number 1 (stool) and [[furniture]] number 4 (stool) reach ")
     picture = Piece("picture", (0.3, 0.05, 0.3), wall="north", along=1.5, options={"image": "paper"})
@@ -62,43 +72,31 @@ def test_blank_and_alike_views_are_found():
     ]
 
 
-def test_a_room_is_built_with_graph_views_features_and_its_description(tmp_path):
-    backbone = ResNet50()
-    encoder = ViewEncoder(
-        lambda views: backbone(preprocess(views)), {"extractor": "random ResNet-50", "weights": "none"}
-    )
+def test_a_room_is_built_with_graph_views_features_and_its_description(tmp_path, monkeypatch):
+    encoder = ViewEncoder(lambda views: views.float().mean((1, 2)), {"extractor": "colours", "weights": "none"})
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
     build_room(closet(), tmp_path / "closet.h5", encoder=encoder, **SMALL)
     scene = read_dump(tmp_path / "closet.h5")
     assert (scene.name, scene.goals, scene.source) == ("closet", (3,), "synthetic")
     assert (scene.graph == walk(closet()).graph).all()
     assert scene.views[0].shape == (24, 32, 3)
     assert scene.views[0].std() > 10
-    assert (scene.features.shape, scene.features.dtype) == ((20, 2048), np.float16)
-    assert scene.extractor == "random ResNet-50; none"
+    assert (scene.features.shape, scene.features.dtype) == ((20, 3), np.float16)
+    assert scene.extractor == "colours; none"
     with h5py.File(tmp_path / "closet.h5") as file:
         assert 'name = "closet"' in file.attrs["room"]
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)  # threads and smaller turns give the same views
+    build_room(closet(), tmp_path / "turns.h5", **SMALL, turn=45)
+    turns = read_dump(tmp_path / "turns.h5")
+    assert (len(turns), turns.goals) == (2 * len(scene), (6,))
+    assert all((scene.views[state] == turns.views[2 * state]).all() for state in range(len(scene)))
 
 
-def test_threads_and_smaller_turns_give_the_same_views(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    build_room(closet(), tmp_path / "one.h5", **SMALL)
-    monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    build_room(closet(), tmp_path / "two.h5", **SMALL, turn=45)
-    one, two = read_dump(tmp_path / "one.h5"), read_dump(tmp_path / "two.h5")
-    assert len(two) == 2 * len(one)
-    assert all((one.views[state] == two.views[2 * state]).all() for state in range(len(one)))
-    assert (one.goals, two.goals) == ((3,), (6,))
-
-
-@pytest.mark.parametrize(("options", "message"), [
-    ({"size": (4, 32)}, "size=.4, 32.: views are 8 to 4096 pixels"),
-    ({"turn": 100}, "turn=100: a turn must go into 90 degrees"),
-    ({}, "this file exists already"),
-])  # fmt: skip
-def test_what_cannot_be_built_is_refused_at_once(tmp_path, options, message):
+def test_what_cannot_be_built_is_refused_at_once(tmp_path):
     (tmp_path / "closet.h5").write_text("mine")
-    out = tmp_path / ("new.h5" if options else "closet.h5")
-    refused(message, build_room, closet(), out, **{**SMALL, **options})
+    refused("size=.4, 32.: views are 8 to 4096 pixels", build_room, closet(), tmp_path / "new.h5", size=(4, 32))
+    refused("turn=100: a turn must go into 90 degrees", build_room, closet(), tmp_path / "new.h5", turn=100)
+    refused("this file exists already", build_room, closet(), tmp_path / "closet.h5")
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("closet.h5", "mine")]
 
 
@@ -136,3 +134,90 @@ def test_each_error_changes_the_views_and_more_of_it_more():
     brightness = (some.mean((1, 2, 3)) / planned.mean((1, 2, 3))).reshape(-1, 4)
     assert brightness.std(1).max() < 0.05
     assert brightness.mean(1).std() > 0.05
+
+
+WHITE = Material("plain", {"color": "#ffffff", "var": 0.0}, rough=1.0, emit=2.0, resolution=8)
+
+
+def test_in_a_cube_that_shines_all_over_the_light_is_pi_times_the_radiance():
+    s, mesh = 2.0, Mesh()
+    for side in (
+        [(0, s, 0), (s, s, 0), (s, s, s), (0, s, s)],
+        [(s, 0, 0), (0, 0, 0), (0, 0, s), (s, 0, s)],
+        [(s, s, 0), (s, 0, 0), (s, 0, s), (s, s, s)],
+        [(0, 0, 0), (0, s, 0), (0, s, s), (0, 0, s)],
+        [(0, 0, 0), (s, 0, 0), (s, s, 0), (0, s, 0)],
+        [(0, 0, s), (0, s, s), (s, s, s), (s, 0, s)],
+    ):
+        mesh.quad(side, "white")
+    cube = Scenery([part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts], {"white": WHITE}, edge=0.4)
+    origins, normals = standpoints(cube)
+    inside = ((origins > 0.3) & (origins < 1.7)).sum(1) == 2  # corners are darkened on purpose, to tame lamps there
+    light = direct_light(cube, origins, normals, 400, np.random.default_rng(0))[inside]
+    assert np.allclose(light.mean(), np.pi * 2.0, rtol=0.04)
+    assert light.std() < 0.1 * light.mean()
+
+
+PLAIN = RoomSettings(height=24, width=32, fine=False, encoder=None)
+WANTED = [("bathroom", 10_000), ("bathroom", 30_000), ("bathroom", 30_001)]
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Every room is the closet; which ones were asked for."""
+    drawn = []
+
+    def draw(kind, seed, *, threads):
+        drawn.append((kind, seed))
+        if seed == 13:
+            raise SceneError("kind=bathroom seed=13: none of 60 rooms passed the checks; the last: it is ugly")
+        room = replace(closet(), name=f"{kind}_{seed}")
+        return room, look_around(room)
+
+    monkeypatch.setattr("dirl.sources.rooms.collect.sample_views", draw)
+    return drawn
+
+
+def test_rooms_become_a_collection_and_a_killed_job_goes_on(drawn, tmp_path):
+    rooms = make_rooms(tmp_path, WANTED, PLAIN, workers=1)
+    first = next(rooms)
+    rooms.close()
+    (tmp_path / "bathroom_30000.toml").write_text("half a descript")  # as a job leaves that is killed
+    (tmp_path / f"{PREFIX}1.h5").write_bytes(b"half a dump")
+    assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == WANTED[1:]
+    made = [first, *make_rooms(tmp_path, WANTED[1:], PLAIN, workers=1)]
+    assert drawn == WANTED
+    assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == []
+    assert [room.split for room in made] == [split_of(seed) for _, seed in WANTED] == ["test", "train", "train"]
+    assert [(room.states, room.places) for room in made] == [(20, 5)] * 3
+    assert made[0].problems == build_room(closet(), tmp_path / "other_1.h5", size=(24, 32), fine=False)
+    assert read_description(tmp_path / "bathroom_30000.toml").name == "bathroom_30000"
+    with h5py.File(tmp_path / "bathroom_30001.h5") as file:
+        assert file.attrs["seed"] == 30_001
+    refused(r"other_1\.h5: says not how it was made", missing_rooms, tmp_path, WANTED, PLAIN.stored(None))
+    (tmp_path / "mine.txt").write_text("a file of somebody else")
+    refused("is there already, and is no collection", missing_rooms, tmp_path, WANTED, PLAIN.stored(None))
+
+
+def test_a_seed_without_a_room_does_not_stop_the_others_and_rooms_of_a_collection_are_made_alike(drawn, tmp_path):
+    error, entry = make_rooms(tmp_path, [("bathroom", 13), ("bathroom", 14)], PLAIN, workers=1)
+    assert "none of 60 rooms passed" in str(error)
+    assert [entry.name] == [one.name for one in load_scenes(f"collection:{tmp_path}")] == ["bathroom_14"]
+    with pytest.raises(SceneError, match="bathroom_14 was made with width=32, not 40; give the same options"):
+        missing_rooms(tmp_path, WANTED, replace(PLAIN, width=40).stored(None))
+
+
+def test_two_processes_make_rooms_whose_features_and_patches_say_what_made_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "_start", start_with_closets)
+    wanted = [("bathroom", 30_000), ("bathroom", 930_000)]
+    settings = replace(PLAIN, height=LOOK[0], width=LOOK[1], encoder="resnet50_small", patches=True)
+    made = list(make_rooms(tmp_path, wanted, settings, workers=2))
+    assert {room.name for room in made} == {f"{kind}_{seed}" for kind, seed in wanted}
+    scene, other = load_scenes(f"collection:{tmp_path}")
+    assert (scene.views[0] != other.views[0]).any()
+    assert (scene.features.shape, scene.patches.shape) == ((20, 2048), (20, 8, 96))
+    with h5py.File(tmp_path / "bathroom_30000.h5") as file:
+        assert dict(file["patches"].attrs) == patch_attributes()
+        stored = json.loads(file.attrs["settings"])
+    assert settings.stored(settings.load_encoder()) == stored
+    assert (stored["extractor"], stored["patches"]) == (scene.extractor, "; ".join(patch_attributes().values()))

@@ -1,10 +1,10 @@
-"""Tours of rooms joined by doors: every room is in the scene, and headings that links do not give are seen."""
+"""The headings of panoramas, by the yaws of links both ways and by what is seen; tours of rooms joined by doors."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from buildings import Building, write_building_tour
+from buildings import WALL, Building, choose_panoramas, sample_building, walk_poses, write_building_tour
 from closet import closet
 from PIL import Image
 from tours import grid_truth, heading_errors, tour_of, turned
@@ -81,3 +81,67 @@ def test_pictures_that_show_nothing_are_not_believed(tmp_path):
     Image.new("RGB", (64, 32), "grey").save(tmp_path / "grey.png")
     grey = columns(Equirectangular(tmp_path / "grey.png"))
     assert compare(grey, grey, [0.0]).lead < LEAD
+
+
+FAR_APART = {(6, 11), (8, 9), (17, 22), (19, 24)}
+"""Of the 49 pairs of links in a grid of 6 by 5; whatever part is cut off, most of the links to it are right."""
+
+
+def test_panoramas_turned_at_random_are_aligned_again():
+    truth = turned(grid_truth(6, 5), 1.0, 1)
+    found = align(tour_of(truth))
+    assert heading_errors(found.headings, truth.middles).max() < 1e-6
+    assert found.loops.max() < 1e-6
+    assert len(found.loops) == 49 - 29  # links less a spanning tree
+    assert (found.part == 0).all()
+    assert (found.rejected, found.one_way) == ([], [])
+
+
+def test_links_that_are_all_wrong_are_found_and_left_out():
+    truth = turned(grid_truth(6, 5), 1.0)
+    rng = np.random.default_rng(0)
+    pairs = [index for index, link in enumerate(truth.links) if link[:2] in FAR_APART]
+    off = np.zeros(len(truth.links))
+    off[pairs] = rng.uniform(40, 180, len(pairs)) * rng.choice([-1, 1], len(pairs))
+    found = align(tour_of(truth, off))
+    assert heading_errors(found.headings, truth.middles).max() < 1e-6
+    assert {pair[:2] for pair in found.rejected} == {truth.links[index][:2] for index in pairs}
+    assert min(pair[2] for pair in found.rejected) > 39.9
+    assert found.loops.max() > 39.9
+
+
+def test_the_tour_of_a_building_reads_back(tmp_path):
+    building = Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
+    found = write_building_tour(building, tmp_path / "tour", apart=0.8, size=(16, 32))
+    assert found.places[0].tolist() == pytest.approx([2.0 + WALL / 2, 0.6])
+    far = np.linalg.norm(found.places[:, None] - found.places, axis=-1)[~np.eye(len(found.places), dtype=bool)]
+    assert far.min() >= 0.8
+    tour = read_tour(tmp_path / "tour")
+    made = tour_scene(tour, headings=8)
+    numbers = {panorama.id: index for index, panorama in enumerate(tour.panoramas)}
+    links = {(numbers[one.id], numbers[link.target]) for one in tour.panoramas for link in one.links}
+    assert links == set(map(tuple, found.links.tolist()))
+    assert (found.places[:, 0] > 2 + WALL).any()  # in both rooms
+    assert (found.places[:, 0] < 2).any()
+    assert made.scene.positions[::8] == pytest.approx(found.places, abs=1e-3)
+    assert (made.scene.distances >= 0).all()
+    # Headings are aligned: one turn of the whole map brings every link where it is.
+    along = np.degrees(np.arctan2(*(found.places[found.links[:, 1]] - found.places[found.links[:, 0]]).T))
+    written = [link.yaw for a, b in found.links for link in tour.panoramas[a].links if numbers[link.target] == b]
+    middles = made.scene.headings[::8] - made.yaws[:, 0]
+    off = wrap(along - np.array(written) - middles[found.links[:, 0]])
+    assert np.abs(wrap(off - off[0])).max() < 1
+
+
+def test_buildings_in_a_row_are_as_they_were():
+    building = sample_building(["bathroom", "bedroom", "bathroom"], 10_200)
+    assert building.doors == (1.55, 2.55)
+    assert building.doorways == pytest.approx(np.array([(4.46, 1.55), (10.68, 2.55)]))
+    assert [len(room.furniture) for room in building.rooms] == [25, 24, 23]
+    found = choose_panoramas(building)
+    assert (len(found.places), len(found.links)) == (15, 36)
+    assert found.places.sum() == pytest.approx(149.49)
+    poses = np.array(walk_poses(building))
+    assert poses[0, 0] < 4.4 < 10.7 < poses[-1, 0]
+    assert np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).max() <= 0.5
+    assert np.abs(wrap(np.diff(poses[:, 2]))).max() <= 15

@@ -108,5 +108,5 @@ def test_tours_and_headings_that_make_no_scene_are_refused():
     tour = tour_of(grid_truth(2, 2))
     alone = replace(tour, panoramas=tuple(replace(one, links=()) for one in tour.panoramas))
     refused("no panorama has a link to another one", tour_scene, alone)
-    for headings in (0, 6, 40, -4):
+    for headings in (0, 6, 40):
         refused(f"headings={headings}: must be a multiple of four", tour_scene, tour, headings=headings)

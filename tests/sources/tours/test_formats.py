@@ -52,26 +52,14 @@ def test_a_broken_tour_is_refused_in_one_line(case, tmp_path):
     assert file.split(".")[0] in refused(says, read_tour, tmp_path)
 
 
-def test_what_is_no_tour_is_refused(tmp_path):
-    refused("there is no such file or folder", read_tour, tmp_path / "nowhere")
-    refused(r"is no tour; expected one of data\.js", read_tour, tmp_path)
-    for name in ("a.json", "b.json"):
-        (tmp_path / name).write_text('{"scenes": 1}')
-    refused("expected 'scenes'", read_tour, tmp_path / "a.json")
-    refused(r"holds 2 tours of pannellum, a\.json too; name the file", read_tour, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("headings", "stated"), [(["0.0"] * 4, [None] * 4), (["0.0", "90", "", "0"], [0, 90, None, 0])]
-)
-def test_krpano_states_a_heading_of_zero_where_it_knows_none(tmp_path, headings, stated):
-    file = written("krpano", tmp_path) / "tour.xml"
-    for heading in headings:
-        change(file, ' heading=""', f" heading='{heading}'")
-    assert [panorama.heading for panorama in read_tour(tmp_path).panoramas] == stated
-
-
-def test_headings_and_places_that_other_tours_state_are_read(tmp_path):
+def test_headings_and_places_that_tours_state_are_read(tmp_path):
+    """A heading of zero everywhere is what krpano states where it knows none."""
+    for headings, stated in ((["0.0"] * 4, [None] * 4), (["0.0", "90", "", "0"], [0, 90, None, 0])):
+        file = written("krpano", tmp_path) / "tour.xml"
+        for heading in headings:
+            change(file, ' heading=""', f" heading='{heading}'")
+        assert [panorama.heading for panorama in read_tour(tmp_path).panoramas] == stated
+    file.unlink()
     change(written("pannellum", tmp_path) / "tour.json", '"type": "equirect', '"northOffset": 12, "type": "equirect')
     assert [panorama.heading for panorama in read_tour(tmp_path).panoramas] == [12, None, None, None]
     written("table", tmp_path)
@@ -126,9 +114,19 @@ def test_panoramas_without_files_can_be_skipped(tmp_path, kind):
     left = read_tour(tmp_path, skip=[first.id])
     assert [one.id for one in left.panoramas] == [one.id for one in tour.panoramas[1:]]
     assert links(left) == {pair for pair in links(tour) if first.id not in pair}
-    refused("names no panoramas but those to skip", read_tour, tmp_path, skip=[one.id for one in tour.panoramas])
-    told = rf"skip: there is no panorama '{re.escape(first.id)}x'; did you mean '"
-    refused(told, read_tour, tmp_path, skip=[first.id, f"{first.id}x"])
+
+
+def test_what_is_no_tour_is_refused_nor_a_panorama_that_can_be_skipped(tmp_path):
+    refused("there is no such file or folder", read_tour, tmp_path / "nowhere")
+    refused(r"is no tour; expected one of data\.js", read_tour, tmp_path)
+    for name in ("a.json", "b.json"):
+        (tmp_path / name).write_text('{"scenes": 1}')
+    refused("expected 'scenes'", read_tour, tmp_path / "a.json")
+    refused(r"holds 2 tours of pannellum, a\.json too; name the file", read_tour, tmp_path)
+    table = written("table", tmp_path) / "links.csv"
+    ids = [one.id for one in read_tour(table).panoramas]
+    refused("names no panoramas but those to skip", read_tour, table, skip=ids)
+    refused("skip: there is no panorama 'place_0.jpgx'; did you mean '", read_tour, table, skip=["place_0.jpgx"])
 
 
 def test_links_that_lead_nowhere_are_left_out_and_noted(tmp_path):
@@ -171,18 +169,13 @@ def test_a_broken_image_is_named(tmp_path):
     refused(r"place_1\.jpg: 40x30 pixels; an equirectangular image is twice as wide", cut_all, other)
 
 
-@pytest.mark.parametrize(
-    ("kind", "file", "old", "new"),
-    [
-        ("krpano", "tour.xml", "<image>", '<image hfov="1.00">'),
-        ("pannellum", "tour.json", '"type"', '"haov": 90, "type"'),
-    ],
-)
-def test_flat_pictures_of_a_tour_are_left_out(tmp_path, kind, file, old, new):
-    change(written(kind, tmp_path) / file, old, new)
-    tour = read_tour(tmp_path)
-    assert [panorama.id for panorama in tour.panoramas] == ["place_1", "place_2", "place_3"]
-    assert "1 flat pictures are left out, the first: " in tour.notes[0]
+def test_flat_pictures_of_a_tour_are_left_out(tmp_path):
+    krpano, pannellum = written("krpano", tmp_path) / "tour.xml", written("pannellum", tmp_path) / "tour.json"
+    change(krpano, "<image>", '<image hfov="1.00">')
+    change(pannellum, '"type"', '"haov": 90, "type"')
+    for tour in map(read_tour, (krpano, pannellum)):
+        assert [panorama.id for panorama in tour.panoramas] == ["place_1", "place_2", "place_3"]
+        assert "1 flat pictures are left out, the first: " in tour.notes[0]
 
 
 def test_declared_sizes_are_checked_before_any_tile_is_decoded(tmp_path, monkeypatch):
