@@ -1,7 +1,6 @@
 """The built-in rooms, collections of random ones, and how a user names scenes."""
 
 import h5py
-import pytest
 from refusals import refused
 from rooms import grid_scene, published_dump
 
@@ -9,20 +8,11 @@ from dirl.scenes import PUBLISHED_GOALS, catalogue, load_scenes, write_dump
 from dirl.scenes.catalogue import ROOMS, Thor
 from dirl.scenes.io import read
 
-STATES = {"bathroom_02": 180, "bedroom_04": 408, "kitchen_02": 676, "living_room_08": 468}
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """Published dumps of a user: two scenes with 120 states each."""
-    for name in ("bathroom_02", "bathroom_01"):
-        published_dump(tmp_path / f"{name}.h5", grid_scene(width=6, depth=5))
-    return tmp_path
-
 
 def test_the_rooms_have_the_names_sizes_and_goals_of_the_paper_and_say_that_they_are_built_in():
     rooms = load_scenes("all")
-    assert {room.name: len(room) for room in rooms} == STATES
+    states = {"bathroom_02": 180, "bedroom_04": 408, "kitchen_02": 676, "living_room_08": 468}
+    assert {room.name: len(room) for room in rooms} == states
     assert {room.name: room.goals for room in rooms} == dict(PUBLISHED_GOALS)
     assert {room.source for room in rooms} == {"rooms"}
     assert {(room.extractor, room.features.shape[1]) for room in rooms} == {(rooms[0].extractor, 2048)}
@@ -30,13 +20,18 @@ def test_the_rooms_have_the_names_sizes_and_goals_of_the_paper_and_say_that_they
     assert sum(path.stat().st_size for path in ROOMS.glob("*.h5")) < 30e6
 
 
-def test_published_dumps_get_the_published_goals(folder):
-    first, second = load_scenes(["bathroom_02", "bathroom_01"], source=Thor(folder))
+def test_published_dumps_have_a_folder_of_their_own_and_get_the_published_goals(tmp_path):
+    for name in ("bathroom_02", "bathroom_01"):
+        published_dump(tmp_path / f"{name}.h5", grid_scene(width=6, depth=5))
+    first, second = load_scenes(["bathroom_02", "bathroom_01"], source=Thor(tmp_path))
     assert (first.name, first.source, first.goals) == ("bathroom_02", "thor", PUBLISHED_GOALS["bathroom_02"])
     assert (second.name, second.source, second.goals) == ("bathroom_01", "thor", ())
-    with h5py.File(folder / "bathroom_02.h5", "a") as file:
+    with h5py.File(tmp_path / "bathroom_02.h5", "a") as file:
         file.attrs["goals"] = [3]
-    assert load_scenes("bathroom_02", source=Thor(str(folder)))[0].goals == (3,)
+    assert load_scenes("bathroom_02", source=Thor(str(tmp_path)))[0].goals == (3,)
+    refused(r"choose from bathroom_01, bathroom_02, all", load_scenes, "kitchen_02", source=Thor(tmp_path))
+    refused("nowhere: there is no such folder", load_scenes, "all", source=Thor(tmp_path / "nowhere"))
+    refused(r"^source=thor needs the folder of your dumps: source\.root=", load_scenes, "all", source=Thor())
 
 
 def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
@@ -54,12 +49,6 @@ def test_damaged_built_in_rooms_and_hashes_are_refused(tmp_path, monkeypatch):
     for damaged in (sums[:-9], sums.replace(b"bathroom_02.h5", b"bathroom\xff02.h5")):
         (tmp_path / "SHA256SUMS").write_bytes(damaged)
         refused("SHA256SUMS: is not the list of hashes that was installed", load_scenes, "bathroom_02")
-
-
-def test_published_dumps_have_a_folder_of_their_own(folder):
-    refused(r"choose from bathroom_01, bathroom_02, all", load_scenes, "kitchen_02", source=Thor(folder))
-    refused("nowhere: there is no such folder", load_scenes, "all", source=Thor(folder / "nowhere"))
-    refused(r"^source=thor needs the folder of your dumps: source\.root=", load_scenes, "all", source=Thor())
 
 
 def test_rooms_are_read_by_seed_and_split_whatever_else_the_folder_holds(tmp_path):

@@ -3,7 +3,6 @@
 from collections import deque
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from refusals import refused
@@ -93,26 +92,17 @@ def ring(length):
     return np.stack([states * 0 - 1, (states + 1) % length, (states - 1) % length, states * 0 - 1], 1)
 
 
-def beside(first, second):
-    return np.concatenate([first, np.where(second >= 0, second + len(first), -1)])
-
-
 def changed(state, action, to):
     graph = grid_scene().graph.copy()
     graph[state, action] = to
     return graph
 
 
-@pytest.mark.parametrize(
-    ("graph", "message"),
-    [
-        (changed(5, AHEAD, 24), r"state 5: ahead leads to state 24, but states are 0\.\.23"),
-        (changed(6, RIGHT, -1), "state 6: turning right is blocked"),
-        (changed(6, LEFT, -1), "state 5: turning right and back does not return"),
-        (ring(400), "state 0: a full turn to the right passes more than 360 states"),
-        (ring(6), "state 0: a full turn to the right passes 6 states"),
-        (beside(ring(4), ring(8)), r"state 4: a full turn .* passes 8 states; .* \(4 at state 0\)"),
-    ],
-)
-def test_a_graph_no_agent_could_walk_in_is_refused(graph, message):
-    refused(message, check_graph, graph)
+def test_a_graph_no_agent_could_walk_in_is_refused():
+    refused(r"state 5: ahead leads to state 24, but states are 0\.\.23", check_graph, changed(5, AHEAD, 24))
+    refused("state 6: turning right is blocked", check_graph, changed(6, RIGHT, -1))
+    refused("state 5: turning right and back does not return", check_graph, changed(6, LEFT, -1))
+    refused("state 0: a full turn to the right passes more than 360 states", check_graph, ring(400))
+    refused("state 0: a full turn to the right passes 6 states", check_graph, ring(6))
+    both = np.concatenate([ring(4), np.where(ring(8) >= 0, ring(8) + 4, -1)])
+    refused(r"state 4: a full turn .* passes 8 states; .* \(4 at state 0\)", check_graph, both)

@@ -1,15 +1,18 @@
-"""A scene in memory: checked when made, immutable, with views that are decoded when looked at."""
+"""A scene in memory: checked when made, immutable; three formats of views and no other, decoded when looked at."""
 
-import dataclasses
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from malformed import VIEW, picture
+from PIL import Image
 from refusals import refused
 from rooms import grid_scene, read_here
 
-from dirl.scenes import Scene
+from dirl.scenes import Scene, write_dump
 from dirl.scenes.scene import MAX_NAME, check_name
-from dirl.scenes.views import FileViews
+from dirl.scenes.views import FORMATS, FileViews, ImageError, decode
 
 
 def parts(**changes):
@@ -24,18 +27,12 @@ def spoiled(name, state, value):
     return {name: array}
 
 
-def test_a_scene_cannot_be_changed(scene):
+def test_a_scene_cannot_be_changed_nor_through_the_arrays_that_it_was_made_of():
+    given = parts()
+    made = Scene(**given)
     for name in ("graph", "positions", "headings", "features", "distances", "surrounding"):
         with pytest.raises(ValueError, match="read-only"):
-            getattr(scene, name)[0] = 1
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        scene.goals = ()
-
-
-def test_the_callers_arrays_are_not_shared():
-    given = parts()
-    given["features"] = given["features"].astype(np.float16)
-    made = Scene(**given)
+            getattr(made, name)[0] = 1
     for name in ("graph", "positions", "headings", "features"):
         before = getattr(made, name).copy()
         given[name][:] = 0
@@ -89,3 +86,39 @@ def test_bad_names_are_refused_in_one_line():
         check_name(name, "here")
     for name in BAD:
         assert len(refused("^here: a scene cannot be called ", check_name, name, "here")) < 250
+
+
+def test_decoding_in_threads_changes_nothing_of_the_process(monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    filters, data = [*warnings.filters], picture("PNG", (40, 30))
+    with ThreadPoolExecutor(4) as threads:
+        assert {view.shape for view in threads.map(decode, [data] * 400)} == {(30, 40, 3)}
+    assert Image.MAX_IMAGE_PIXELS == 100
+    assert warnings.filters == filters
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_damaged_images_are_one_line(kind):
+    data, rng = picture(kind, (40, 30)), np.random.default_rng(0)
+    reasons = []
+    for length in range(1, len(data), 7):
+        broken = bytearray(data[:length])
+        broken[rng.integers(length)] ^= 0xFF
+        try:
+            assert decode(bytes(broken)).shape[2] == 3
+        except ImageError as error:
+            reasons.append(str(error))
+    assert reasons
+    assert not any("\n" in text or "0x" in text for text in reasons)  # no addresses of objects
+
+
+def test_a_file_that_went_away_or_became_shorter_is_one_line(tmp_path):
+    path = tmp_path / "room.h5"
+    write_dump(path, grid_scene(), [VIEW] * 24)
+    views = read_here(path).views
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"room\.h5: observation_webp: state 5: the file has become shorter$"):
+        views[5]
+    path.unlink()
+    with pytest.raises(ValueError, match=r"room\.h5: observation_webp: cannot be read any more \(No such file"):
+        views.encoded(5)

@@ -1,17 +1,21 @@
-"""Worlds: scenes joined into one state space, and the goals in it."""
+"""Worlds: scenes joined into one state space, the goals in it, by rule or held out, and looks of its states."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from policies import run_episodes
 from refusals import refused
 from rooms import grid_scene
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import check_env_specs
 
+from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
+from dirl.evaluation.episodes import RandomPolicy, every_start
 from dirl.scenes import make_world
-
-TENSORS = dict.fromkeys(("graph", "surrounding", "scene_of", "goals", "row"), torch.int64)
-TENSORS |= {"features": torch.float32, "distances": torch.int16}
+from dirl.scenes.goals import choose_goals
+from dirl.scenes.graph import places
 
 
 def hall(**changes):
@@ -56,9 +60,8 @@ def test_the_scenes_of_a_world_share_its_features_which_are_float32(scenes):
         assert (scene.features == given.features).all()
         assert not scene.features.flags.writeable
     assert not np.shares_memory(scenes[1].features, world.features.numpy())
-    for name, kind in TENSORS.items():
-        assert getattr(world, name).dtype == kind, name
-    assert world.distance(torch.tensor(0), torch.tensor(0)).dtype == torch.int64
+    assert world.features.dtype == torch.float32
+    assert world.distances.dtype == torch.int16
 
 
 def test_the_distance_of_each_pair_is_that_of_a_search_in_its_scene(world, scenes):
@@ -82,19 +85,136 @@ def test_goals_replace_those_of_the_scenes_that_they_name(scene, scenes):
     assert make_world(scenes, {"closet": [1], "grid": [2]}).goals.tolist() == [2, 29, 55, 57]
 
 
+def test_what_makes_no_world_is_refused(scene):
+    refused("^the scene 'grid' is named twice", make_world, [scene, hall(name="grid")])
+    refused(r"has no features \(dataset resnet_feature\); encode its views", make_world, [hall(features=None)])
+    told = "^hall and grid have features of different extractors.*: 'CLIP'"
+    refused(told, make_world, [scene, hall(extractor="CLIP")])
+    refused(r"^goals of several scenes are given by name, e.g. \{grid: \[0, 4\]\}", make_world, [scene, hall()], [0])
+    refused(r"^grid: a goal is named twice in \[4, 0, 4\]", make_world, [scene], [4, 0, 4])
+
+
+@pytest.fixture
+def changing():
+    return [grid_scene(width, 2, name=name, patches=True, looks=2) for width, name in ((3, "a"), (2, "b"))]
+
+
+def test_the_view_id_of_a_look_is_the_look_times_the_states_and_the_state(changing):
+    world = make_world(changing)
+    assert (world.looks, len(world)) == (3, 40)
+    for look in range(3):
+        for scene, offset in zip(changing, world.offsets, strict=True):
+            wanted = scene.features if look == 0 else scene.look_features[look - 1].astype(np.float32)
+            rows = slice(look * 40 + offset, look * 40 + offset + len(scene))
+            assert np.array_equal(world.features[rows].numpy(), wanted)
+            parts = scene.patches if look == 0 else scene.look_patches[look - 1]
+            assert np.array_equal(world.patches[rows].numpy(), parts)
+    same = make_world([changing[0], grid_scene(2, 2, name="c", seed=2, patches=True)])  # of one look at every visit
+    for look in range(3):
+        assert np.array_equal(same.features[look * 40 + torch.arange(24, 40)].numpy(), same.scenes[1].features)
+    others = [grid_scene(name="c", patches=True, looks=1), grid_scene(name="d", patches=True)]
+    refused(r"different numbers of looks, \[1, 2, 3\]", make_world, [changing[0], *others])
+    assert world.pictures(1).tolist() == [look * 40 + 24 + state for look in range(3) for state in range(16)]
+
+
+@pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
+def test_every_visit_draws_a_look_that_its_four_views_share(changing, kind):
+    world = make_world(changing)
+    env = TransformedEnv(NavigationEnv(world, 50, seed=0), kind(world))
+    check_env_specs(env)
+    steps = env.rollout(6, break_when_any_done=False)
+    looks = steps["look"]
+    assert set(looks.unique().tolist()) == {0, 1, 2}
+    ahead = looks * 40 + steps["state"]
+    if kind is SurroundingViews:
+        assert torch.equal(steps["view_ids"], world.surrounding[steps["state"]] + 40 * looks.unsqueeze(-1))
+        assert torch.equal(steps["view_ids"][..., 0], ahead)
+    else:
+        assert torch.equal(steps["view_ids"][..., -1], ahead)
+    assert torch.equal(steps["goal_view_ids"] // 40, steps["goal_look"].unsqueeze(-1).expand(-1, -1, 4))
+    same = ~steps["next", "done"].squeeze(-1)[:, :-1]
+    assert torch.equal(steps["goal_look"][:, 1:][same], steps["goal_look"][:, :-1][same])
+
+
 @pytest.mark.parametrize(
-    ("scenes", "goals", "message"),
-    [
-        ([grid_scene(), hall(name="grid")], None, "the scene 'grid' is named twice"),
-        ([hall(features=None)], None, r"grid_scene: has no features \(dataset resnet_feature\); encode its views"),
-        (
-            [grid_scene(), hall(extractor="CLIP")],
-            None,
-            "hall and grid have features of different extractors.*: 'CLIP' ",
-        ),
-        ([grid_scene(), hall()], [0], r"goals of several scenes are given by name, e.g. \{grid: \[0, 4\]\}"),
-        ([grid_scene()], [4, 0, 4], r"grid: a goal is named twice in \[4, 0, 4\]"),
-    ],
+    ("looks", "photos", "of_goals", "of_visits"),
+    [(None, None, {0, 1, 2}, {0, 1, 2}), (range(2), range(2, 3), {2}, {0, 1})],
 )
-def test_what_makes_no_world_is_refused(scenes, goals, message):
-    refused(f"^{message}", make_world, scenes, goals)
+def test_goals_of_episodes_can_have_looks_of_their_own(changing, looks, photos, of_goals, of_visits):
+    world, seen = make_world(changing), []
+
+    def stop(wanted, ahead):
+        seen.append((wanted // len(world.goals), ahead // len(world)))
+        return torch.zeros_like(wanted, dtype=torch.bool)
+
+    options = {"observation": SurroundingViews(world), "stop": stop, "max_steps": 8}
+    run_episodes(RandomPolicy(), world, every_start(world), greedy=False, looks=looks, photos=photos, **options)
+    goals, visits = (set(torch.cat(column).tolist()) for column in zip(*seen, strict=True))
+    assert (goals, visits) == (of_goals, of_visits)
+
+
+def states(chosen):
+    """The trained goals of the one scene."""
+    return np.array(chosen.trained["grid"])
+
+
+def test_a_share_is_of_whole_places_drawn_by_the_seed(scene):
+    place = places(scene.graph)
+    chosen = [states(choose_goals([scene], "fraction:0.5", seed=seed)) for seed in range(4)]
+    for one in chosen:
+        assert len(one) == 12
+        assert np.isin(place, place[one]).sum() == 12
+    assert len({tuple(one) for one in chosen}) > 1
+    assert set(chosen[0]) <= set(states(choose_goals([scene], "fraction:0.8", seed=0)))
+
+
+@pytest.mark.parametrize("rule", ["fraction:0.5", [0, 13]])
+def test_places_held_out_are_never_trained(scene, rule):
+    chosen = choose_goals([scene], rule, hold_out=1 / 3, seed=2)
+    held, place = np.array(chosen.held_out["grid"]), places(scene.graph)
+    assert len(held) == 8
+    assert not np.isin(place[states(chosen)], place[held]).any()
+    if isinstance(rule, str):
+        assert chosen.held_out == choose_goals([scene], "all", hold_out=1 / 3, seed=2).held_out
+        halves = choose_goals([scene], rule, hold_out=0.5, seed=1)
+        assert sorted([*states(halves), *halves.held_out["grid"]]) == list(range(24))
+
+
+def test_scenes_have_rules_of_their_own(scene):
+    others = [grid_scene(2, 1, name=name, goals=(7,)) for name in ("closet", "hall")]
+    chosen = choose_goals([scene, *others], {"grid": "every:10", "hall": "all"})
+    assert make_world([scene, *others], chosen.trained).goals.tolist() == [0, 10, 20, 24 + 7, *range(32, 40)]
+
+
+def test_states_that_not_all_others_reach_are_no_goals():
+    hall = grid_scene(width=4, depth=3, name="grid", goals=(5,), blocked=[(2, 0), (2, 1), (2, 2), (3, 2)])
+    chosen = choose_goals([hall], "all")
+    reached_from = (hall.distances >= 0).sum(0)
+    assert reached_from.min() < reached_from.max()
+    assert states(chosen).tolist() == np.flatnonzero(reached_from == reached_from.max()).tolist()
+    assert chosen.left_out == {"grid": tuple(np.flatnonzero(reached_from < reached_from.max()).tolist())}
+
+
+def with_a_sink(hall):
+    """The same scene with a further place that its first state leads to, and that has no way back."""
+    graph = np.concatenate([hall.graph, hall.graph[:4] + len(hall)])
+    graph[len(hall) :, [0, 3]] = -1
+    graph[0, 3] = len(hall)
+    grown = {name: np.concatenate([getattr(hall, name), getattr(hall, name)[:4]]) for name in ("positions", "headings")}
+    features = np.random.default_rng(1).random((len(graph), hall.features.shape[1]), np.float32)
+    return replace(hall, graph=graph, features=features, **grown)
+
+
+def test_a_place_that_one_cannot_leave_takes_no_goals_from_the_others():
+    hall = with_a_sink(grid_scene(width=3, depth=2, name="grid", goals=(5,)))
+    assert (hall.distances[24:, :24] < 0).all()
+    chosen = choose_goals([hall], "all", hold_out=0.3, seed=1)
+    assert not chosen.left_out
+    assert len(chosen.held_out["grid"]) == 8  # two of seven places
+    assert len(states(chosen)) == 28 - 8
+
+
+def test_rules_that_cannot_be_used_are_named(scene):
+    refused("must be states", choose_goals, [scene], "every:0")
+    refused("more than all places", choose_goals, [scene], "fraction:0.75", hold_out=0.5)
+    refused("leaves no goal", choose_goals, [scene], "every:24", hold_out=0.99)

@@ -23,22 +23,20 @@ def attribute(name, value):
 
 
 def linked(name, kind):
-    """The dataset's values lie in another (existing, good) file or under another name."""
+    """The dataset's values lie in another (existing, good) file."""
 
     def spoil(file):
-        shape, dtype = file[name].shape, file[name].dtype
-        another = file.filename + ".other"
+        values, another = file[name][:], f"{file.filename}.other"
+        del file[name]
         with h5py.File(another, "w") as other:
-            other[name] = file[name][:]
-        file.move(name, "hidden")
+            other[name] = values
         if kind == "virtual":
-            layout = h5py.VirtualLayout(shape, dtype)
-            layout[:] = h5py.VirtualSource(another, name, shape)
+            layout = h5py.VirtualLayout(values.shape, values.dtype)
+            layout[:] = h5py.VirtualSource(another, name, values.shape)
             file.create_virtual_dataset(name, layout)
         elif kind == "storage":
-            with open(file.filename + ".raw", "wb") as raw:
-                raw.write(file["hidden"][:].tobytes())
-            file.create_dataset(name, shape, dtype, external=[(file.filename + ".raw", 0, h5py.h5f.UNLIMITED)])
+            external = [(another, 0, h5py.h5f.UNLIMITED)]  # as bytes
+            file.create_dataset(name, values.shape, values.dtype, external=external)
         else:
             file[name] = h5py.ExternalLink(another, name)
 
@@ -68,26 +66,19 @@ def digest_lost(file):
 CASES = [
     (instead("graph", None), "the dataset 'graph' is missing; the file holds ['location', "),
     (instead("graph", np.zeros((24, 6), int)), "graph: expected shape (any, 4), found (24, 6)"),
-    (instead("graph", np.zeros((24, 4))), "graph: expected integer or unsigned integer values, found float64"),
     (as_group, "graph: is a group; expected a dataset"),
     (instead("graph", np.where(GRAPH == -1, -2, GRAPH)), "graph: state 0: back leads to state -2, but states are 0..2"),
     (instead("graph", GRAPH.astype("u8")), "graph: state 0: back leads to state 9223372036854775807, but states are"),
     (instead("rotation", np.where(np.arange(24) == 8, np.nan, 0)), "rotation: state 8 holds a value that is not finit"),
     (instead("resnet_feature", np.full((24, 8), 1e38)), "resnet_feature: state 0 holds a value that is not finite, or"),
-    (instead("shortest_path_distance", np.zeros((24, 5))), "shortest_path_distance: expected shape (24, 24), found (2"),
-    (
-        instead("observation", np.zeros((24, 3, 4, 3), "u2")),
-        "observation: expected uint8, 1 to 16777216 pixels a v",
-    ),
+    (instead("observation", np.zeros((24, 3, 4, 3), "u2")), "observation: expected uint8, 1 to 16777216 pixels a v"),
     (views(POSTSCRIPT), "observation_webp: state 23: not a readable image (it is not WebP, PNG or JPEG)"),
     (views(picture("PNG", (4096, 4097), "1")), "observation_webp: state 23: not a readable image (4096x4097 pixels ar"),
-    (attribute("goals", [3, 24]), "goal 24 is not a state; states are 0..23"),
     (attribute("goals", [3, 4, 3]), "attribute 'goals': names state 3 twice"),
     (attribute("goals", np.arange(8000)), "attribute 'goals': names 8000 goals of 24 states"),
     (attribute("goals", "abc"), "attribute 'goals': expected a list of states (integers), found 'abc'"),
     (attribute("actions", ["ahead", "right", "left"]), "attribute 'actions': expected ['ahead', 'right', 'left', 'bac"),
     (attribute("name", np.bytes_(b"\xff\xfe")), "attribute 'name': expected text, found b'"),
-    (attribute("name", "../../etc/room"), "a scene cannot be called '../../etc/room'; a name has"),
     (attribute("source", "thor\nrooms"), "attribute 'source': expected one line of text, found 'thor"),
     (linked("graph", "external"), "graph: is a link to elsewhere; a dump must hold its own data"),
     (linked("graph", "virtual"), "graph: its data lies in other files; a dump must hold its own data"),
@@ -119,15 +110,15 @@ def test_the_limit_itself_is_allowed(dump, monkeypatch):
     assert len(read_here(dump)) == 24
 
 
-def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path):
-    for number, (spoil, says) in enumerate(ABSURD):
-        path = make(tmp_path / f"{number}.h5", spoil)
-        tracemalloc.start()
-        try:
-            assert refused(path).startswith(says)
-            assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
-        finally:
-            tracemalloc.stop()
+@pytest.mark.parametrize(("spoil", "says"), ABSURD)
+def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path, spoil, says):
+    path = make(tmp_path / "room.h5", spoil)
+    tracemalloc.start()
+    try:
+        assert refused(path).startswith(says)
+        assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+    finally:
+        tracemalloc.stop()
 
 
 def test_what_is_no_whole_hdf5_file_is_refused(dump, tmp_path):

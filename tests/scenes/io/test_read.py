@@ -1,11 +1,16 @@
-"""Reading and writing dumps: every layout the published files and their descendants have."""
+"""Dumps: every layout the published files have is read, changes are noticed, and the published layout is written."""
+
+from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
-from rooms import read_here
+from refusals import refused
+from rooms import grid_scene, read_here
 
-from dirl.scenes import ACTIONS
+from dirl.scenes import ACTIONS, write_dump
+from dirl.scenes.io.hdf5 import compute_digest
+from dirl.scenes.io.write import export_icra17
 from dirl.scenes.views import encode
 
 
@@ -75,3 +80,102 @@ def test_columns_may_be_in_any_declared_order(scene, dump):
 
 def test_a_file_may_have_any_name(dump):
     assert read_here(dump.rename(dump.with_name("a='b#.h5"))).name == "a_b"
+
+
+ABOUT = {"extractor": "ResNet-50", "preprocessing": "/255", "weights": "v2"}
+
+
+@pytest.fixture
+def room(tmp_path):
+    rng = np.random.default_rng(0)
+    views = [encode(rng.integers(0, 256, (6, 8, 3), np.uint8)) for _ in range(24)]
+    scene = grid_scene(name="hall", goals=(3,), patches=True, looks=1)
+    write_dump(
+        tmp_path / "room.h5", scene, views, feature_attributes=ABOUT, patch_attributes={"projection": "sha256:1"}
+    )
+    return tmp_path / "room.h5"
+
+
+def digests(path):
+    with h5py.File(path) as file:
+        return [file.attrs["digest"], file["graph"].attrs["digest"], compute_digest(file)]
+
+
+def test_every_writer_leaves_a_digest(room):
+    export_icra17(read_here(room), room.with_name("icra17.h5"))
+    for path in (room, room.with_name("icra17.h5")):
+        assert len(set(digests(path))) == 1
+    assert digests(room) != digests(room.with_name("icra17.h5"))
+
+
+def change_value(file, name):
+    """A dataset's last value, or another attribute."""
+    if name in file:
+        values = file[name][:]
+        values.ravel()[-1] += 1
+        file[name][...] = values
+    else:
+        holder = file["resnet_feature"] if name in ABOUT else file
+        value = holder.attrs.pop(name)
+        holder.attrs[name] = [4] if name == "goals" else value[::-1]
+
+
+def test_a_change_is_noticed(room):
+    whole = room.read_bytes()
+    with h5py.File(room) as file:
+        names = [*file, "goals", "actions", "source", *ABOUT]
+    assert len(names) == 9 + 6
+    for name in names:
+        room.write_bytes(whole)
+        with h5py.File(room, "a") as file:
+            change_value(file, name)
+        refused("does not hold what was written to it", read_here, room)
+
+
+def test_the_digest_is_of_the_values_not_of_how_they_are_stored(room):
+    before = digests(room)
+    with h5py.File(room, "a") as file:
+        file.attrs["note"] = "mine"
+        for name in ("location", "resnet_feature"):
+            values, about = file[name][:], dict(file[name].attrs)
+            del file[name]
+            file.create_dataset(name, data=values, compression="gzip", chunks=True).attrs.update(about)
+    assert digests(room) == before
+    assert read_here(room).name == "hall"
+
+
+def with_views(folder, scene):
+    views = [encode(np.full((60, 80, 3), 3 * state, np.uint8)) for state in range(len(scene))]
+    write_dump(folder / "views.h5", scene, views)
+    return read_here(folder / "views.h5")
+
+
+def test_the_layout_is_the_published_one(tmp_path, scene):
+    export_icra17(with_views(tmp_path, scene), tmp_path / "out.h5")  # which are scaled
+    with h5py.File(tmp_path / "out.h5") as file:
+        layout = {name: (dataset.shape, dataset.dtype.str) for name, dataset in file.items()}
+        assert layout == {
+            "graph": ((24, 4), "<i8"),
+            "location": ((24, 2), "<f8"),
+            "observation": ((24, 300, 400, 3), "|u1"),
+            "resnet_feature": ((24, 10, 16), "<f4"),
+            "rotation": ((24,), "<i8"),
+            "shortest_path_distance": ((24, 24), "<i8"),
+        }
+        assert all(dataset.chunks is None for dataset in file.values())
+        assert set(np.unique(file["rotation"])) == {0, 90, 180, 270}
+        assert (file["graph"][:] == scene.graph).all()
+        assert file["graph"][:].min() == -1
+        assert (file["resnet_feature"][:] == scene.features[:, None]).all()  # each crop, as public code may draw one
+        assert np.abs(file["observation"][:, 150, 200].astype(int) - 3 * np.arange(24)[:, None]).max() <= 3
+        assert (file.attrs["source"], file["resnet_feature"].attrs["extractor"]) == ("synthetic", "random")
+
+
+def test_what_the_layout_cannot_hold_is_refused(tmp_path, scene):
+    whole = with_views(tmp_path, scene)
+    odd = grid_scene(headings=16)
+    odd = replace(odd, views=replace(whole.views, spans=np.zeros((len(odd), 2), int)))
+    refused("has no views", export_icra17, replace(whole, views=None), tmp_path / "out.h5")
+    refused("has no features .*; encode", export_icra17, replace(whole, features=None), tmp_path / "out.h5")
+    refused("rotation: state 1 is headed 22.5 degrees", export_icra17, odd, tmp_path / "out.h5")
+    assert not (tmp_path / "out.h5").exists()

@@ -1,11 +1,14 @@
+"""Files: written whole or not at all; what is inside a folder, and what is no text or no file."""
+
 import json
 import math
 import os
 import stat
 
 import pytest
+from refusals import refused
 
-from dirl.scenes.io.files import atomic_path, write_json, write_text
+from dirl.scenes.io.files import atomic_path, inside, read_text, write_json, write_text
 
 
 def test_a_file_appears_whole_with_usual_permissions_and_nothing_beside_it(tmp_path):
@@ -30,13 +33,9 @@ def test_data_is_on_the_disk_before_the_file_has_its_name_and_then_the_name_is(t
 def test_if_anything_fails_the_old_file_stays_and_no_temporary_one(tmp_path, problem):
     file = tmp_path / "a.txt"
     write_text(file, "old")
-
-    def half(path):
-        path.write_text("half")
+    with pytest.raises(type(problem)) as caught, atomic_path(file) as temporary:  # noqa: PT012
+        temporary.write_text("half")
         raise problem
-
-    with pytest.raises(type(problem)) as caught, atomic_path(file) as temporary:
-        half(temporary)
     assert file.read_text() == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
     if isinstance(problem, OSError):
@@ -49,3 +48,36 @@ def test_json_knows_no_nan(tmp_path):
     with pytest.raises(TypeError):
         write_json(tmp_path / "b.json", {"a": object()})
     assert not (tmp_path / "b.json").exists()
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/abs/secret.png", "link.png"])
+def test_what_leads_out_of_a_folder_is_not_inside(tmp_path, name):
+    (tmp_path / "secret.png").touch()
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "link.png").symlink_to(tmp_path / "secret.png")
+    told = r"^table: line 1: .* (lies outside of|is a link that leads out of) "
+    refused(told, inside, folder, name, "table: line 1")
+
+
+def test_links_within_a_folder_and_a_folder_that_is_a_link_are_inside(tmp_path, monkeypatch):
+    folder = tmp_path / "folder"
+    (folder / "a").mkdir(parents=True)
+    (folder / "a" / "b.png").touch()
+    (folder / "c.png").symlink_to("a/b.png")
+    (tmp_path / "other").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    for where in (folder, tmp_path / "other", folder.relative_to(tmp_path)):
+        assert inside(where, "c.png", "") == where / "c.png"
+        assert inside(where, "a\\b.png", "") == where / "a" / "b.png"
+
+
+def test_bytes_that_are_no_text_and_pipes_are_refused(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_bytes(b"\xff")
+    with pytest.raises(ValueError, match="is not UTF-8 text"):
+        read_text(file)
+    file.unlink()
+    os.mkfifo(file)  # which may never end
+    with pytest.raises(ValueError, match=r"a\.csv: is no regular file"):
+        read_text(file)
