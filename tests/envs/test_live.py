@@ -67,12 +67,8 @@ def test_without_errors_it_is_the_world_of_the_dump():
     assert torch.equal(env.table.table[found["next", "view_ids"]], env.world.features[around])
     goals = env.world.surrounding[found["next", "goal"]]
     assert torch.equal(env.table.table[found["next", "goal_view_ids"]], env.world.features[goals])
-
-
-def test_a_view_that_returns_is_rendered_once():
-    env = make_env(slip=0.1)
-    walk(env, 200)
-    assert env.simulator.looks == len(env.rows) == len(env.world)
+    walk(env, 150, seed=1)
+    assert env.simulator.looks == len(env.rows) == len(env.world)  # a view that returns is rendered once
 
 
 def test_who_slips_stays_and_who_errs_in_turning_goes_where_it_looks():
@@ -139,13 +135,8 @@ def test_the_recipe_trains_and_the_navigator_is_evaluated_in_it(options):
     assert torch.equal(*seen)
 
 
-@pytest.mark.parametrize(
-    ("option", "message"),
-    [
-        ("observation=sequential", "use observation=surrounding"),
-        ("stop.training=match", "use stop.training=goal"),
-        ("env.views=100", "6 agents see up to 336 views between updates; give env.views"),
-    ],
-)
-def test_what_is_impossible_in_a_simulator_is_one_line(options, option, message):
-    refused(message, train_state, make_parts(*options, option))
+def test_what_is_impossible_in_a_simulator_is_one_line(options):
+    refused("use observation=surrounding", train_state, make_parts(*options, "observation=sequential"))
+    refused("use stop.training=goal", train_state, make_parts(*options, "stop.training=match"))
+    told = "6 agents see up to 336 views between updates; give env.views"
+    refused(told, train_state, make_parts(*options, "env.views=100"))

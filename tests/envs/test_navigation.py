@@ -1,8 +1,10 @@
 import pytest
 import torch
 from rooms import grid_scene
+from torchrl.envs import Compose, StepCounter, TransformedEnv
+from torchrl.envs.utils import check_env_specs
 
-from dirl.envs import NavigationEnv, Reward
+from dirl.envs import NavigationEnv, Reward, SequentialViews, ViewFeatures
 from dirl.scenes import make_world
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
@@ -58,3 +60,28 @@ def test_who_slips_stays_where_it_is(world):
     assert still.float().mean().item() == pytest.approx(0.2, abs=0.03)
     with pytest.raises(ValueError, match=r"slip=1: is a probability below 1"):
         NavigationEnv(world, slip=1)
+
+
+AGENTS, STEPS = 6, 25
+
+
+def test_sequential_views_recorded_in_the_env_are_each_episodes_last_four_states_with_their_features(world):
+    transforms = Compose(StepCounter(5), SequentialViews(world), ViewFeatures(world.features))
+    env = TransformedEnv(NavigationEnv(world, AGENTS), transforms)
+    check_env_specs(env)
+    torch.manual_seed(0)
+    steps = env.rollout(STEPS, break_when_any_done=False)
+    assert steps["next", "done"].sum() > AGENTS
+    for agent in steps:
+        history = None
+        for step in agent:
+            # `history` is None where an episode begins.
+            history = history or [step["state"].item()] * 4
+            assert step["view_ids"].tolist() == history
+            history = [*history[1:], step["next", "state"].item()]
+            assert step["next", "view_ids"].tolist() == history
+            if step["next", "done"]:
+                history = None
+    for part in (steps, steps["next"]):
+        assert torch.equal(part["observation"], world.features[part["view_ids"]])
+        assert torch.equal(part["goal_observation"], world.features[part["goal_view_ids"]])

@@ -1,22 +1,39 @@
+import json
+import math
 from dataclasses import replace
 from itertools import pairwise, permutations
 
 import pytest
 import torch
 from networks import make_policy
-from policies import BACK, COUNTED, RIGHT, Asked, always, expert, outcome, run_episodes
+from policies import COUNTED, Asked, always, expert, outcome, run_episodes
 from rooms import grid_scene
+from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
 from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation import episodes as episodes_module
 from dirl.evaluation.episodes import RandomPolicy, drawn_looks, every_start, sampled_starts, shortest_episodes
-from dirl.evaluation.protocol import EvaluationProtocol, metrics
+from dirl.evaluation.experts import (
+    ShortestPathExpert,
+    ShortestPathPolicy,
+    demonstrations,
+    label,
+    merge_demonstrations,
+    shown_states,
+)
+from dirl.evaluation.protocol import WINDOW, EpisodeMeter, EvaluationProtocol, metrics, report
 from dirl.models import PlanningMemory, initial_state, recurrent_keys
 from dirl.scenes import make_world
 
-KINDS = (SurroundingViews, SequentialViews)
-BOTH = pytest.mark.parametrize("kind", KINDS)
+
+@pytest.fixture
+def world():
+    """24 states with goals 0 and 13, 12 around a corner with goal 30, 8 in two unconnected places with goal 37."""
+    room = grid_scene(3, 2, name="room", goals=(0, 13))
+    corner = grid_scene(2, 2, name="corner", goals=(6,), blocked=[(1, 1)], seed=1)
+    split = grid_scene(3, 1, name="split", goals=(1,), blocked=[(1, 0)], seed=2)
+    return make_world([room, corner, split])
 
 
 def test_sampled_starts_are_as_many_for_each_goal_and_uniform_among_those_that_reach_it(world):
@@ -37,8 +54,7 @@ def test_the_look_of_the_goal_is_not_that_of_a_visit():
     assert {*zip((drawn // len(world)).tolist(), besides.tolist(), strict=True)} == {*permutations(range(3), 2)}
 
 
-@BOTH
-@pytest.mark.parametrize("greedy", [True, False])
+@pytest.mark.parametrize(("kind", "greedy"), [(SurroundingViews, True), (SequentialViews, False)])
 def test_the_expert_takes_a_shortest_path_from_everywhere(world, kind, greedy):
     episodes = run_episodes(expert(world), world, every_start(world), observation=kind(world), greedy=greedy)
     assert torch.equal(episodes.steps, episodes.shortest)
@@ -51,11 +67,10 @@ def test_the_expert_takes_a_shortest_path_from_everywhere(world, kind, greedy):
     assert found["episodes"] == 23 + 23 + 11 + 3
 
 
-@BOTH
-def test_failures_count_as_the_limit(world, kind):
+def test_failures_count_as_the_limit(world):
     # Who only turns right comes from 3 to goal 0 in one step, from 2 in two, from 1 in three, else never.
     starts = torch.zeros(23, dtype=torch.int64), torch.arange(1, 24)
-    episodes = run_episodes(always(RIGHT), world, starts, observation=kind(world), max_steps=10)
+    episodes = run_episodes(always(RIGHT), world, starts, observation=SurroundingViews(world), max_steps=10)
     assert episodes.steps.tolist() == [3, 2, 1] + [10] * 20
     assert episodes.success.tolist() == [True] * 3 + [False] * 20
     found = metrics(episodes)
@@ -69,11 +84,10 @@ def test_failures_count_as_the_limit(world, kind):
 def test_sampled_actions_follow_the_policys_probabilities(world):
     # One step from 3: the goal by a right turn only.
     logits = torch.tensor([0.2, 0.5, 0.2, 0.1]).log()
-    starts = torch.zeros(20_000, dtype=torch.int64), torch.full((20_000,), 3)
+    starts, observation = (torch.zeros(20_000, dtype=torch.int64), torch.full((20_000,), 3)), SurroundingViews(world)
     for policy, share in ((Asked(lambda rows: logits.expand(len(rows), 4)), 0.5), (RandomPolicy(), 0.25)):
-        for kind in KINDS:
-            episodes = run_episodes(policy, world, starts, observation=kind(world), max_steps=1, greedy=False)
-            assert metrics(episodes)["sr"] == pytest.approx(share, abs=0.02)
+        episodes = run_episodes(policy, world, starts, observation=observation, max_steps=1, greedy=False)
+        assert metrics(episodes)["sr"] == pytest.approx(share, abs=0.02)
 
 
 def by_the_env(policy, world, starts, observation, stop, max_steps):
@@ -118,7 +132,7 @@ class Advised(torch.nn.Module):
         return rows.set("logits", own + self.expert(rows.copy())["logits"])
 
 
-@BOTH
+@pytest.mark.parametrize("kind", [SurroundingViews, SequentialViews])
 @pytest.mark.parametrize(("seed", "memory"), [(0, False), (1, True)])
 def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, seed, memory):
     policy = Advised(world, make_policy(world.features, world.names, width=16, seed=seed, memory=memory))
@@ -136,36 +150,25 @@ def test_episodes_are_those_of_the_environment_walked_step_by_step(world, kind, 
     assert (~episodes.success & ~episodes.false_stop & ~episodes.missed_stop).any()
 
 
-def test_a_memory_ends_the_circles_of_a_greedy_policy(world):
+def test_a_memory_ends_the_circles_of_a_greedy_policy_also_in_episodes_that_are_walked_in_parts(world, monkeypatch):
     """A policy that always turns right finds only goals in its place; with the memory it tries what it has not."""
-    starts = every_start(world)
-    options = {"observation": SurroundingViews(world), "max_steps": 200}
+    starts, options = every_start(world), {"observation": SurroundingViews(world), "max_steps": 200}
     without = run_episodes(always(RIGHT, 1.0), world, starts, **options)
-    remembered = run_episodes(always(RIGHT, 1.0), world, starts, memory=PlanningMemory(), **options)
     assert without.success.float().mean() < 0.3
+    options["memory"] = PlanningMemory()
+    remembered = run_episodes(always(RIGHT, 1.0), world, starts, **options)
     assert remembered.success.all()
-
-
-def test_episodes_with_a_memory_are_walked_in_parts(world, monkeypatch):
-    starts, options = every_start(world), {"observation": SurroundingViews(world), "memory": PlanningMemory()}
-    whole = run_episodes(always(BACK, 1.0), world, starts, **options)
     monkeypatch.setattr(episodes_module, "MANY", 7)
-    parts = run_episodes(always(BACK, 1.0), world, starts, **options)
-    assert all(torch.equal(a, b) for a, b in zip(vars(whole).values(), vars(parts).values(), strict=True))
+    parts = run_episodes(always(RIGHT, 1.0), world, starts, **options)
+    assert all(torch.equal(a, b) for a, b in zip(vars(remembered).values(), vars(parts).values(), strict=True))
 
 
 def test_a_policy_may_be_shown_another_goal(world):
     """The expert walks to the goal that it is shown; the episode is of the true one."""
-    goal_index, start = (part[:23] for part in every_start(world))
-    shown = torch.tensor([1, 0, 2, 3])
-    episodes = run_episodes(
-        expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=shown, max_steps=20
-    )
-    assert episodes.success.float().mean() < 0.5
-    same = run_episodes(
-        expert(world), world, (goal_index, start), observation=SurroundingViews(world), shown=torch.arange(4)
-    )
-    assert same.success.all()
+    starts, options = tuple(part[:23] for part in every_start(world)), {"observation": SurroundingViews(world)}
+    other = run_episodes(expert(world), world, starts, shown=torch.tensor([1, 0, 2, 3]), max_steps=20, **options)
+    assert other.success.float().mean() < 0.5
+    same = run_episodes(expert(world), world, starts, shown=torch.arange(4), **options)
     assert torch.equal(same.steps, same.shortest)
 
 
@@ -187,3 +190,113 @@ def test_a_sweep_ignores_the_goal_that_it_is_shown(world):
     _, (one, other) = protocol.trajectories(RandomPolicy(), starts)
     assert one[:3] == other[:3]
     assert protocol.run(RandomPolicy()).success.all()
+
+
+def test_a_report_covers_each_scene_and_each_goal_by_its_number_in_the_scene(world):
+    episodes = run_episodes(always(RIGHT), world, every_start(world), observation=SurroundingViews(world), max_steps=10)
+    summary = report(episodes, world)
+    goals = {name: list(scene["goals"]) for name, scene in summary["scenes"].items()}
+    assert goals == {"room": ["0", "13"], "corner": ["6"], "split": ["1"]}
+    # Three starts each are at the goal's own place.
+    assert summary["scenes"]["room"]["sr"] == pytest.approx(6 / 46)
+    assert summary["scenes"]["room"]["goals"]["13"]["sr"] == pytest.approx(3 / 23)
+    assert summary["scenes"]["corner"]["goals"]["6"]["sr"] == pytest.approx(3 / 11)
+    assert summary["scenes"]["split"]["sr"] == 1
+    json.dumps(summary)
+
+
+def episodes(meter, goal, steps, count, frames=0):
+    meter.add([goal] * count, [steps] * count, frames)
+
+
+def test_atl_is_averaged_over_goals_and_forgets_old_episodes():
+    meter = EpisodeMeter(3)
+    assert math.isnan(meter.measures(31)["atl"])
+    episodes(meter, 0, 50, 10)
+    episodes(meter, 0, 10, WINDOW)
+    episodes(meter, 1, 30, 1)
+    assert meter.measures(31) == {"atl": 20.0, "atl_worst_goal": 30.0, "episodes": WINDOW + 11, "sr": 1.0}
+    assert (meter.measures(30)["sr"], meter.measures(10)["sr"]) == (0.5, 0.0)
+
+
+def test_stable_needs_enough_short_episodes_of_every_goal_and_is_lost_again():
+    meter = EpisodeMeter(2)
+    episodes(meter, 0, 20, WINDOW, frames=1)
+    episodes(meter, 1, 20, WINDOW - 1, frames=2)
+    assert meter.stable_at is None
+    episodes(meter, 1, 20, 1, frames=3)
+    assert meter.stable_at == 3
+    episodes(meter, 0, 5, 1, frames=4)
+    assert meter.stable_at == 3
+    episodes(meter, 1, 200, 1, frames=5)
+    assert meter.stable_at is None
+    episodes(meter, 1, 20, WINDOW, frames=6)
+    assert meter.stable_at == 6
+
+
+RIGHT = 1
+
+
+def expert_action(world, goal_index, state):
+    asked = TensorDict({"state": state, "goal": world.goals[goal_index]}, [len(state)])
+    return ShortestPathExpert(world)(asked)["expert_action"]
+
+
+def test_optimal_actions_are_all_that_come_nearer_and_the_expert_takes_the_first(world):
+    goal_index, state = (part[world.distances > 0] for part in world.pairs())
+    after = world.distance(goal_index.unsqueeze(1), world.graph[state])
+    nearer = after < world.distance(goal_index, state).unsqueeze(1)
+    asked = TensorDict({"state": state, "goal": world.goals[goal_index]}, [len(state)])
+    assert torch.equal(ShortestPathExpert(world)(asked)["optimal_actions"], nearer)
+    assert torch.equal(expert_action(world, goal_index, state), nearer.int().argmax(1))
+
+
+def test_random_states_are_a_fraction_and_depend_on_the_seed(world):
+    chosen = [shown_states(world, 0.25, "random", seed) for seed in (0, 0, 1)]
+    assert [int(one.sum()) for one in chosen] == [6 + 3 + 2] * 3
+    assert torch.equal(chosen[0], chosen[1])
+    assert not torch.equal(chosen[0], chosen[2])
+
+
+@pytest.mark.parametrize(
+    ("fraction", "rule", "states"),
+    [
+        # Counted from each scene's own first state, place 0 of the room, the corner and the split room.
+        (0.1, "interval", [0, 10, 20, 24, 34, 36]),
+        (0.25, "interval_pos", [0, 1, 2, 3, 16, 17, 18, 19, 24, 25, 26, 27, 36, 37, 38, 39]),
+    ],
+)
+def test_states_are_counted_scene_by_scene(world, fraction, rule, states):
+    reaching_another = set(states) - {37}
+    shows = demonstrations(world, ShortestPathExpert(world), SurroundingViews(world), fraction, rule)
+    assert set(shows["state"].tolist()) == reaching_another
+    assert torch.equal(shows["scene"], world.scene_of[shows["state"]])
+
+
+def test_without_a_way_or_at_the_goal_the_expert_has_no_advice_and_its_policy_no_preference(world):
+    # At the goals, and of state 41, which a wall separates from goal 37.
+    goal_index, state = torch.tensor([0, 2, 3, 3, 0]), torch.tensor([0, 30, 37, 41, 3])
+    asked = TensorDict({"state": state, "goal": world.goals[goal_index]}, [5])
+    assert expert_action(world, goal_index, state).tolist() == [-1] * 4 + [RIGHT]
+    probabilities = ShortestPathPolicy(world)(asked)["logits"].softmax(-1)
+    assert probabilities.tolist() == [[0.25] * 4] * 4 + [[0, 1, 0, 0]]
+    assert RandomPolicy()(asked)["logits"].softmax(-1).tolist() == [[0.25] * 4] * 5
+
+
+def visited(world, goal_index, state):
+    goal, state, observation = world.goals[torch.tensor(goal_index)], torch.tensor(state), SurroundingViews(world)
+    rows = {"state": state, "goal": goal, "scene": world.scene_of[goal]}
+    rows |= {"view_ids": observation.reset_view_ids(state), "goal_view_ids": observation.reset_view_ids(goal)}
+    return TensorDict(rows, [len(state)])
+
+
+def test_merged_demonstrations_keep_the_first_of_each_that_observe_the_same(world):
+    first = label(ShortestPathExpert(world), visited(world, [0, 0, 1], [3, 5, 3]))
+    again = label(ShortestPathExpert(world), visited(world, [1, 0, 0], [3, 5, 7]))
+    again["expert_action"][:] = 9
+    merged = merge_demonstrations(first, again)
+    rows = {(row["goal"].item(), row["state"].item()): row["expert_action"].item() for row in merged}
+    assert len(merged) == len(rows) == 4
+    assert rows[0, 7] == 9
+    assert 9 not in (rows[0, 3], rows[0, 5], rows[13, 3])
+    assert len(merge_demonstrations(merged, merged)) == 4
