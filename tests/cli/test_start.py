@@ -7,16 +7,23 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import dataclass
+from typing import Annotated, Any
 from unittest.mock import patch
 
 import pytest
+from annotated_types import Interval
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from options import RECIPES as PROGRAMS
 from options import SCHEMAS, command_line, draw_arguments, program
 from refusals import refused
 
+from dirl.cli.parsing import compose_training, parse, prepare
 from dirl.cli.start import new_file, start
+from dirl.config.files import typed
+from dirl.config.options import option
+from dirl.config.schemas import Device
 
 RECIPES = sorted(set(SCHEMAS) - {"benchmark"})
 
@@ -72,46 +79,109 @@ def test_a_signal_while_nothing_is_to_be_saved_gets_one_line(number, line, when)
     assert process.returncode == 128 + number
 
 
-@pytest.mark.parametrize("own", [None, "ACTIVE"])
-def test_threads_wait_passively_unless_the_user_says_otherwise(monkeypatch, own):
-    monkeypatch.setenv("OMP_WAIT_POLICY", own or "")  # what is set below ends with this test
-    if own is None:
-        monkeypatch.delenv("OMP_WAIT_POLICY")
+def test_threads_wait_passively_unless_the_user_says_otherwise(monkeypatch):
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
     assert started("train", "nope") is not None
-    assert os.environ["OMP_WAIT_POLICY"] == (own or "PASSIVE")
+    assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+    monkeypatch.delenv("OMP_WAIT_POLICY")
+    assert started("train", "nope") is not None
+    assert os.environ["OMP_WAIT_POLICY"] == "PASSIVE"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
+def test_what_hydra_would_refuse_in_many_lines_is_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for arguments, told in (
         (["seed=1", "-m", "preset=fast"], "error: unrecognized arguments: preset=fast; flags come before options"),
         (["--cfg=nope"], "error: argument --cfg/-c: invalid choice: 'nope'"),
         (["--experimental-rerun=nope"], "error: --experimental-rerun: a run goes on by resume=<its folder>"),
         (["scene=a\nb"], "error: scene=a b: is not of the form name=value"),
-    ],
-)
-def test_what_hydra_would_refuse_in_many_lines_is_one(tmp_path, monkeypatch, arguments, told):
+    ):
+        said = started("train", *arguments)
+        assert said.startswith(told)
+        assert len(said.splitlines()) == 1
+
+
+def test_a_file_is_new_and_can_be_written_or_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said = started("train", *arguments)
-    assert said.startswith(told)
-    assert len(said.splitlines()) == 1
+    (tmp_path / "there.h5").touch()
+    refused("^out=there.h5: this file exists already; it is not overwritten", new_file, "there.h5")
+    refused(r": cannot be written \(Not a directory\)", new_file, "there.h5/inside.h5")
+    refused(r": cannot be written \(File name too long\)", new_file, "x" * 300 + ".h5")
+    refused("^out=other.txt: the name must end in .h5", new_file, "other.txt")
+    assert str(new_file("a/b.h5")) == "a/b.h5"
+    assert [file.name for file in tmp_path.iterdir()] == ["there.h5"]
+
+
+@dataclass
+class Inner:
+    """A group."""
+
+    size: float = option("metres", 0.5)
+
+
+@dataclass
+class Options:
+    """What a command takes."""
+
+    file: str = option("the file to read")
+    count: Annotated[int, Interval(ge=1, le=9)] | None = option("how many", None)
+    device: Device = option("", Device.cpu)
+    axes: list[str] = option("", ["x"])
+    anything: Any = option("", None)
+    inner: Inner = option("by how much", Inner)
+
+
+def test_a_command_line_is_a_dataclass():
+    options = parse(Options, ["file=a b.h5", "count=9", "device=cuda", "axes=[z]", "anything={a:[1]}", "inner.size=1"])
+    assert options == Options("a b.h5", 9, Device.cuda, ["z"], {"a": [1]}, Inner(1.0))
+    assert parse(Options, ["file=a"]) == Options("a")
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("argument", "told"),
     [
-        ("there.h5", "this file exists already; it is not overwritten"),
-        ("there.h5/inside.h5", "cannot be written (Not a directory)"),
-        ("x" * 300 + ".h5", "cannot be written (File name too long)"),
-        ("other.txt", "the name must end in .h5"),
-        ("a/b.h5", None),
+        ("fiel=a", "there is no option 'fiel'; did you mean file?"),
+        ("size=1", "there is no option 'size'; did you mean inner.size?"),
+        ("count=x", "count=x: Value 'x' of type 'str' could not be converted to Integer"),
+        ("count=0", "count=0: must be greater than or equal to 1"),
+        ("device=gpu", "device=gpu: Invalid value 'gpu', expected one of [cpu, cuda]"),
+        ("inner=3", "inner=3: inner is a group of options"),
+        ("count=1,2", "count=1,2: must be one value; a list is written as 'count=[a,b]'"),
+        ("inner.size=nan", "inner.size=nan: must be a finite number"),
+        ("file=[a", "file=[a: is not of the form name=value"),
+        ("file=???", "file must be given: the file to read"),
+        ("anything=${nope}", "anything: Interpolation key 'nope' not found"),
     ],
 )
-def test_a_file_is_new_and_can_be_written_or_is_refused(tmp_path, monkeypatch, name, says):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "there.h5").touch()
-    if says is None:
-        assert str(new_file(name)) == name
-    else:
-        assert refused(".", new_file, name).startswith(f"out={name}: {says}")
-    assert [file.name for file in tmp_path.iterdir()] == ["there.h5"]
+def test_what_cannot_be_read_is_one_line(argument, told):
+    assert refused(".", parse, Options, ["file=a", argument]).startswith(told)
+
+
+@pytest.mark.parametrize(
+    ("argument", "told"),
+    [
+        ("gamma=1", "there is no option 'gamma'; did you mean reinforcement.gamma?"),
+        ("seed=x", "seed=x: Value 'x' of type 'str' could not be converted to Integer"),
+        ("encoder=siamesse", "In 'train': Could not find 'encoder/siamesse' Available options in 'encoder': comparing"),
+        ("reinforcement.gamma=2", "reinforcement.gamma=2.0: must be less than or equal to 1"),
+        ("logger=[]", "logger=[]: must name a choice of logger"),
+        ("hydra.nope=1", "Could not override 'hydra.nope'"),
+    ],
+)
+def test_what_a_training_does_not_take_is_one_line(argument, told):
+    assert refused(".", lambda: typed(compose_training([argument]))).startswith(told)
+
+
+@pytest.mark.parametrize(
+    ("argument", "prepared"),
+    [
+        ("imitation.bc_coef=0,0.5", "imitation.bc_coef={start:0,end:0},{start:0.5,end:0.5}"),
+        ("imitation.bc_coef={start:1,end:0}", "imitation.bc_coef={start:1,end:0}"),
+        ("encoder.width=8", "++encoder.width=8"),
+        ("~heads.width", "~heads.width"),
+        ("losses=[imitation,gail]", "losses=[imitation,gail]"),
+        ("hydra.run.dir=x", "hydra.run.dir=x"),
+    ],
+)
+def test_a_number_is_a_constant_schedule_and_options_of_components_may_be_added(argument, prepared):
+    assert prepare(["-m", "--config-dir", "x", argument]) == ["-m", "--config-dir", "x", prepared]

@@ -1,5 +1,6 @@
-"""How a program ends when the machine or the user stops it."""
+"""How a program ends when the machine or the user stops it; locks of a run's folder."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -9,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 from dirl.runs.exits import interruptible, one_line_exits
+from dirl.runs.locks import FolderLock
 
 
 @pytest.fixture(autouse=True)
@@ -62,11 +65,6 @@ def test_an_error_of_the_machine_gets_one_line_and_its_status(capsys, problem, s
     assert told.endswith("; all is safe")
 
 
-def test_what_is_a_fault_of_the_program_keeps_its_traceback():
-    with pytest.raises(RuntimeError, match="a bug"), one_line_exits():
-        raise RuntimeError("a bug")
-
-
 def test_a_closed_pipe_ends_the_program_quietly_and_nothing_slow_is_imported():
     code = "import sys\nfrom dirl.runs.exits import one_line_exits\nassert 'torch' not in sys.modules\n"
     code += "with one_line_exits():\n while True: print('x' * 1000)"
@@ -79,14 +77,36 @@ def test_a_closed_pipe_ends_the_program_quietly_and_nothing_slow_is_imported():
 
 @pytest.mark.parametrize(("number", "raised"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_the_first_signal_is_noted_and_the_second_acts(number, raised):
-    noted = []
+    with pytest.raises(SystemExit) as caught, one_line_exits(), interruptible() as asked:  # noqa: PT012
+        os.kill(os.getpid(), number)
+        assert asked == [number]
+        os.kill(os.getpid(), number)
+    assert caught.value.code == raised
+    with pytest.raises(RuntimeError, match="a bug"), one_line_exits():  # which keeps its traceback
+        raise RuntimeError("a bug")
 
-    def work():
-        with interruptible() as asked:
-            os.kill(os.getpid(), number)
-            noted.extend(asked)
-            os.kill(os.getpid(), number)
 
-    with pytest.raises(SystemExit) as caught, one_line_exits():
-        work()
-    assert (noted, caught.value.code) == ([number], raised)
+HOLD = "import sys, time; from pathlib import Path; from dirl.runs.locks import FolderLock; "
+HOLD += "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); time.sleep(600)"
+
+
+def test_another_process_is_named_and_its_death_frees_the_folder(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", HOLD, tmp_path], stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout.readline() == b"held\n"
+            refused(f"{tmp_path}: process {process.pid} on .* is writing to it", FolderLock, tmp_path)
+        finally:
+            process.kill()
+    assert (tmp_path / ".lock").exists()
+    FolderLock(tmp_path).release()
+    assert not (tmp_path / ".lock").exists()
+
+
+def test_without_locks_the_run_goes_on_and_says_so(tmp_path, monkeypatch, capsys):
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    FolderLock(tmp_path).release()
+    (told,) = capsys.readouterr().err.splitlines()
+    assert told == f"{tmp_path}: cannot be locked (No locks available); do not resume this run while it runs"

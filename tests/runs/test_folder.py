@@ -6,12 +6,15 @@ import os
 
 import pytest
 import torch
-from commands import train_config
+from commands import train_config, wait_until
+from PIL import Image
 from refusals import refused
 from rooms import grid_scene
 
+from dirl.config.files import config_text
 from dirl.runs.checkpoints import RunError, is_finished, load_checkpoint, save_checkpoint, training_checkpoints
 from dirl.runs.folder import Run, open_run
+from dirl.runs.loggers import WandbLogger
 from dirl.scenes import make_world
 
 
@@ -49,13 +52,6 @@ def saved_run(folder, *frames):
     return training_checkpoints(folder)
 
 
-def test_runs_that_are_saved_together_are_saved_more_rarely(tmp_path):
-    run = Run(tmp_path, train_config("checkpoint.every_seconds=30"), None)
-    run.last_save -= 61
-    assert run.save_due(2)
-    assert not run.save_due(3)
-
-
 def test_a_resumed_run_keeps_its_columns_and_forgets_rows_younger_than_its_checkpoint(tmp_path):
     run = begun(tmp_path)
     run.write("evaluation", 1, {"frames": 1, "atl": math.nan, "old": 3})
@@ -72,6 +68,9 @@ def test_a_resumed_run_keeps_its_columns_and_forgets_rows_younger_than_its_check
 
 
 def test_only_the_latest_checkpoints_stay_and_none_after_the_end(tmp_path):
+    run = Run(tmp_path, train_config("checkpoint.every_seconds=30"), None)
+    run.last_save -= 61
+    assert (run.save_due(2), run.save_due(3)) == (True, False)  # runs that are saved together are saved more rarely
     run = begun(tmp_path)
     for frames in (9, 10, 100):
         run.save(state(frames))
@@ -84,12 +83,6 @@ def test_only_the_latest_checkpoints_stay_and_none_after_the_end(tmp_path):
     assert training_checkpoints(tmp_path) == []
     assert load_checkpoint(tmp_path)["frames"] == 200
     assert json.loads((tmp_path / "summary.json").read_text()) == {"sr": None}
-
-
-def test_a_folder_that_holds_a_run_is_not_overwritten(tmp_path):
-    begun(tmp_path).close()
-    for again in (opened, begun):
-        refused(f"{tmp_path}: holds a run already", again, tmp_path)
 
 
 def test_two_runs_begun_in_the_same_second_get_two_folders(tmp_path):
@@ -156,21 +149,19 @@ def test_a_checkpoint_whose_tables_are_shorter_than_it_says_is_not_gone_on_from(
     assert "is no checkpoint of a training; it lacks tables" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("deleted", "step"),
-    [("config.yaml", "save"), ("config.yaml", "finish"), ("evaluation.csv", "write"), ("evaluation.csv", "save")],
-)
-def test_what_somebody_deletes_of_a_running_run_ends_it(tmp_path, deleted, step):
+@pytest.mark.parametrize("deleted", ["config.yaml", "evaluation.csv"])
+def test_what_somebody_deletes_of_a_running_run_ends_it(tmp_path, deleted):
     run = begun(tmp_path)
     run.write("evaluation", 10, {"frames": 10, "atl": 3.0})
     (tmp_path / deleted).unlink()
-    steps = {
-        "write": lambda: run.write("evaluation", 20, {"frames": 20, "atl": 2.0}),
-        "save": lambda: run.save(state(20)),
-        "finish": lambda: run.finish(state(20), {}),
-    }
-    with pytest.raises(FileNotFoundError, match=deleted):
-        steps[step]()
+    steps = [lambda: run.save(state(20))]
+    if deleted == "config.yaml":
+        steps.append(lambda: run.finish(state(20), {}))
+    else:
+        steps.insert(0, lambda: run.write("evaluation", 20, {"frames": 20, "atl": 2.0}))
+    for step in steps:
+        with pytest.raises(FileNotFoundError, match=deleted):
+            step()
     assert not (tmp_path / deleted).exists()
     assert not training_checkpoints(tmp_path)
     assert not (tmp_path / "summary.json").exists()
@@ -190,10 +181,56 @@ def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path):
     assert not list((tmp_path / "run").glob(".*"))
 
 
-def test_resume_takes_no_other_option_and_no_finished_run(tmp_path):
+def test_resume_takes_no_other_option_and_no_finished_run_and_none_is_overwritten(tmp_path):
     run = begun(tmp_path)
     run.close()
+    for again in (opened, begun):
+        refused(f"{tmp_path}: holds a run already", again, tmp_path)
     refused("leave out seed=1", opened, tmp_path, f"resume={tmp_path}", "seed=1")
     run.finish(state(0), {})
     refused("is finished", resumed, tmp_path)
     assert is_finished(opened(tmp_path, "existing=keep").folder)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """That of a finished run, and nobody is logged in."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("WANDB_MODE", "WANDB_API_KEY", "WANDB_RUN_ID"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "dirl_bathroom_02" / "run"
+    run.mkdir(parents=True)
+    (run / "network.pt").write_bytes(b"the weights")
+    (run / "summary.json").write_text("{}")
+    Image.new("RGB", (8, 6)).save(run / "maps.png")
+    return run
+
+
+def log_a_run(folder, *options):
+    config = train_config("scene=bathroom_02", *options)
+    (folder / "config.yaml").write_text(config_text(config))
+    logger = WandbLogger(config, folder)
+    logger.log("imitation", 27, {"step": 27, "loss": 0.5})
+    logger.log("evaluation", 0, {"frames": 0, "spl": 0.1, "atl": math.nan})  # a lower step than the one before
+    logger.log("evaluation", 300, {"frames": 300, "spl": 0.2, "atl": 9.0})
+    logger.finish({"frames": 600, "scene": "bathroom_02", "greedy": {"spl": 0.25, "atl": math.nan}}, folder)
+
+
+def test_wandb_gets_everything_and_goes_on_as_the_same_run(folder, monkeypatch, capfd):
+    monkeypatch.setenv("WANDB_RUN_ID", "ofthesweep")  # as an agent of a sweep gives it
+    log_a_run(folder, "logger=wandb", "logger.tags=[night]", "seed=77")
+    said = capfd.readouterr()
+    assert "upload it by: wandb sync" in said.out
+    assert not said.err  # the last line of a run is its own
+    (told,) = folder.glob("wandb/offline-run-*/run-*.wandb")
+    # A process of wandb's writes the file, and on a busy machine after the run has finished here.
+    wait_until(lambda: b"network.pt" in told.read_bytes(), patience=300)
+    record = told.read_bytes()
+    expected = ["night", "fast", "bathroom_02", "dirl_bathroom_02", "agents_per_scene", "dirl-ofthesweep", "network.pt"]
+    expected += ["imitation/loss", "evaluation/spl", "greedy.spl", "pictures/maps"]
+    assert [words for words in expected if words.encode() not in record] == []
+    assert list(folder.glob("wandb/offline-run-*/files/media/images/pictures/maps*.png"))
+    monkeypatch.delenv("WANDB_RUN_ID")
+    log_a_run(folder, "logger=wandb")
+    assert {file.name for file in folder.glob("wandb/offline-run-*/run-*.wandb")} == {"run-ofthesweep.wandb"}

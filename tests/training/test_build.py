@@ -1,6 +1,6 @@
 """From a configuration to the parts of a run; what does not fit together is one line."""
 
-import sys
+from collections import Counter
 
 import pytest
 import torch
@@ -8,16 +8,17 @@ from commands import TINY, done, room_file, train_config
 from parts import make_parts
 from refusals import refused
 from rooms import grid_scene
-from torch import nn
 
 from dirl.agent.decisions import observe
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
+from dirl.evaluation.experts import ShortestPathExpert, label
 from dirl.models import FeatureTable, ObservationTable
 from dirl.models.build import build_policy
 from dirl.runs.checkpoints import load_checkpoint
-from dirl.scenes import write_dump
+from dirl.scenes import make_world, write_dump
 from dirl.training.build import build_goals, build_world, learning_policy, load_trained
+from dirl.training.pairs import DrawnPairs, with_labels
 
 SMALL = ["encoder.width=8", "heads.width=8"]
 
@@ -36,43 +37,20 @@ def test_a_policys_first_weights_are_decided_by_the_seed_alone():
     assert not torch.equal(made[0]["encoder.embedding.weight"], made[2]["encoder.embedding.weight"])
 
 
-class Narrow(nn.Module):
-    """An encoder of views of three features."""
-
-    def __init__(self, num_features):
-        super().__init__()
-        self.layer = nn.Linear(3, 5)
-
-    def forward(self, observation, goal_observation):
-        return self.layer(observation - goal_observation).mean(1)
-
-
-def test_an_encoder_that_does_not_encode_rows_is_refused(monkeypatch):
-    told = r"encoder: cannot be called as it should, on features \[1, 4, 7\]: (addmm: )?mat1 and mat2"
-    monkeypatch.setitem(sys.modules, "house", sys.modules[__name__])
-    config = train_config()
-    config.encoder = {"_target_": "house.Narrow"}
-    refused(f"^{told}", build_policy, config, FeatureTable(torch.rand(5, 7)), ["a"])
-
-
 @pytest.mark.parametrize(
-    ("observation", "axes", "width", "principal"),
+    ("option", "width", "principal"),
     [
-        ("surrounding", "principal", 32, True),
-        ("sequential", "principal", 32, True),
-        ("surrounding", "principal", 16, False),
-        ("surrounding", "features", 32, False),
+        ("observation=surrounding", 32, True),
+        ("observation=sequential", 32, True),
+        ("observation=surrounding", 16, False),
+        ("network.axes=features", 32, False),
     ],
 )
-def test_principal_axes_are_used_where_there_are_no_more_states_than_features(
-    tmp_path, observation, axes, width, principal
-):
+def test_principal_axes_are_used_where_there_are_no_more_states_than_features(tmp_path, option, width, principal):
     write_dump(tmp_path / "room.h5", grid_scene(feature_width=width))
-    policy = make_parts(
-        f"scene={tmp_path / 'room.h5'}", *SMALL, f"network.axes={axes}", f"observation={observation}"
-    ).policy
+    policy = make_parts(f"scene={tmp_path / 'room.h5'}", *SMALL, option).policy
     assert isinstance(policy.features, ObservationTable) == principal
-    assert (policy.cached.surrounding is not None) == (observation == "surrounding")
+    assert (policy.cached.surrounding is not None) == ("sequential" not in option)
 
 
 def test_the_expert_may_walk_to_other_goals_than_the_run_has(tmp_path):
@@ -139,3 +117,53 @@ def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_pa
         state, goal = torch.arange(24), torch.zeros(24, dtype=torch.int64)
         found.append(policy(observe(world, observation, state, observation.reset_view_ids(state), goal))["logits"])
     torch.testing.assert_close(*found, atol=1e-5, rtol=0)
+
+
+def pairs(world, **options):
+    shown = options.pop("shown", torch.ones(len(world), dtype=torch.bool))
+    observation = SurroundingViews(world, options.pop("goal_view", "surrounding"))
+    return DrawnPairs(world, ShortestPathExpert(world), observation, shown, **options)
+
+
+def test_pairs_are_drawn_by_goal_and_then_among_the_states_of_its_scene(world):
+    torch.manual_seed(0)
+    drawn = pairs(world).draw(60_000)
+    counts = Counter(zip(drawn["goal"].tolist(), drawn["state"].tolist(), strict=True))
+    wanted = {(goal, state) for goal in (0, 13) for state in range(24)} | {(33, state) for state in range(24, 40)}
+    assert set(counts) == wanted - {(0, 0), (13, 13), (33, 33)}
+    assert sum(count for (goal, _), count in counts.items() if goal == 33) == pytest.approx(20_000 * 15 / 16, rel=0.03)
+    assert max(counts.values()) < 2 * min(counts[pair] for pair in counts if pair[0] == 33)
+    assert torch.equal(drawn["scene"], world.scene_of[drawn["state"]])
+    assert torch.equal(drawn["view_ids"], world.surrounding[drawn["state"]])
+
+
+def test_a_share_of_the_goals_is_shown_by_its_front_view(world):
+    drawn = pairs(world, front_only=0.3).draw(5000)
+    photo = drawn["goal_view_ids"][:, 1] == len(world)
+    assert photo.float().mean() == pytest.approx(0.3, abs=0.03)
+    assert torch.equal(drawn["goal_view_ids"][:, 0], drawn["goal"])
+    assert (drawn["goal_view_ids"][photo, 1:] == len(world)).all()
+    assert torch.equal(drawn["goal_view_ids"][~photo], world.surrounding[drawn["goal"][~photo]])
+
+
+def test_in_a_world_that_changes_goal_and_state_are_seen_in_two_looks():
+    world = make_world([grid_scene(goals=(0, 13), looks=2)])
+    states = len(world)
+    drawn = pairs(world, front_only=0.5).draw(2000)
+    look, goal_look = drawn["view_ids"][:, 0] // states, drawn["goal_view_ids"][:, 0] // states
+    assert (look != goal_look).all()
+    assert Counter(look.tolist()).keys() == Counter(goal_look.tolist()).keys() == {0, 1, 2}
+    assert torch.equal(drawn["view_ids"], world.surrounding[drawn["state"]] + look.unsqueeze(1) * states)
+    photo = drawn["goal_view_ids"][:, 1] == 3 * states
+    assert photo.float().mean() == pytest.approx(0.5, abs=0.05)
+
+
+def test_half_of_a_draw_are_states_that_the_learner_came_to(world):
+    table = pairs(world)
+    visited = label(table.expert, table.draw(3))
+    merged = with_labels(with_labels(table, visited[:1]), visited[1:])
+    drawn = merged.draw(4000)
+    keys = set(zip(visited["state"].tolist(), visited["goal"].tolist(), strict=True))
+    found = [pair in keys for pair in zip(drawn["state"].tolist(), drawn["goal"].tolist(), strict=True)]
+    assert sum(found[-2000:]) == 2000
+    assert sum(found[:1900]) < 1000

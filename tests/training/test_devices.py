@@ -62,17 +62,11 @@ def test_a_policy_trained_on_the_cpu_walks_alike_on_another_device(tmp_path, els
     assert all(torch.equal(one, there.cpu()) for one, there in zip(*found, strict=True))
 
 
-@pytest.fixture
-def in_order(monkeypatch):
-    """Whether kernels that add in a fixed order are chosen; none are before the test, and after it."""
+def test_on_a_gpu_alone_kernels_are_chosen_that_add_in_a_fixed_order(monkeypatch):
+    chosen = []
     monkeypatch.setenv("CUBLAS_WORKSPACE_CONFIG", ":16:8")  # what the user chose stays
-    yield torch.are_deterministic_algorithms_enabled
-    torch.use_deterministic_algorithms(False)
-
-
-def test_on_a_gpu_alone_kernels_are_chosen_that_add_in_a_fixed_order(in_order):
+    monkeypatch.setattr(torch, "use_deterministic_algorithms", lambda on, *, warn_only: chosen.append((on, warn_only)))
     prepare_device(Device.cpu)
-    assert not in_order()
+    assert not chosen
     prepare_device(Device.cuda)
-    assert in_order()
-    assert torch.is_deterministic_algorithms_warn_only_enabled()
+    assert chosen == [(True, True)]

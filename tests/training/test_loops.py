@@ -34,10 +34,9 @@ def through_a_file(saved):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
     options = [f"scene={room_file(tmp_path)}", *SMALL, *KINDS[kind]]
-    whole, first, second = (make_parts(*options) for _ in range(3))  # `first` stays as it begins
     stop = []
     torch.manual_seed(0)
-    state = train_state(whole)
+    state = train_state(make_parts(*options))
 
     def save_once(state):
         if not stop and state.frames >= 120:
@@ -45,7 +44,8 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
 
     learn(state, Loop(state, 300, save_once))
     torch.manual_seed(99)
-    resumed = train_state(second)
+    resumed = train_state(make_parts(*options))
+    initial = resumed.policy.state_dict()["encoder.embedding.weight"].clone()
     resumed.load_state_dict(stop[0])
     assert resumed.frames == stop[0]["frames"] >= 120
     learn(resumed, Loop(resumed, 300))
@@ -53,16 +53,12 @@ def test_a_training_goes_on_from_its_state_to_the_same_end(tmp_path, kind):
     for name, value in state.policy.state_dict().items():
         assert torch.equal(value, resumed.policy.state_dict()[name]), name
     assert (resumed.agents == state.agents).all()
-    initial = first.policy.state_dict()
-    assert not torch.equal(initial["encoder.embedding.weight"], state.policy.state_dict()["encoder.embedding.weight"])
+    assert not torch.equal(initial, state.policy.state_dict()["encoder.embedding.weight"])
 
 
 def test_the_end_of_a_training_is_saved_before_it_is_evaluated(tmp_path):
-    options = ["reinforcement.frames_per_scene=60", "evaluation.times=0", "checkpoint.every_seconds=1000"]
-    parts = make_parts(f"scene={room_file(tmp_path)}", *SMALL, *options)
-    run, state = Run(tmp_path / "run", parts.config), train_state(parts)
-    run.begin(parts.world, parts.observation.order)
-    told = reinforce(run, state, parts.protocol)
+    run, components = begun(tmp_path, "reinforcement.frames_per_scene=60", "checkpoint.every_seconds=1000")
+    told = reinforce(run, components.state, components.protocol)
     run.close()
     assert [int(file.stem) for file in training_checkpoints(run.folder)] == [told["frames"]] == [60]
 
@@ -106,40 +102,32 @@ def test_a_checkpoint_that_is_not_of_this_imitation_is_refused(imitated):
         refused("its checkpoint does not fit this run", imitated, saved | change)
 
 
-DIVERGING = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "evaluation.times=0"]
-DIVERGING += ["reinforcement.frames_per_scene=2000"]
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["imitation.fraction=1", "imitation.lr=1e20"], "^the imitation has diverged: a loss of nan at step 1; lower"),
-        (["imitation.fraction=0", "optimiser.lr=1e30"], "^the policy has diverged, its logits are not finite: lower"),
-    ],
-    ids=["imitation", "reinforcement"],
-)
-def test_a_training_that_diverges_ends_in_one_line(tmp_path, options, says):
-    run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
+def begun(folder, *options):
+    """A run that has begun, and its components."""
+    small = ["encoder.width=8", "heads.width=8", "reinforcement.agents_per_scene=6", "evaluation.times=0"]
+    run = Run(folder / "run", train_config(f"scene={room_file(folder)}", *small, *options))
     components = build_components(run)
-    run.begin(components.protocol.world, components.protocol.observation.order)
-    refused(says, run_stages, run, components, train)
+    run.begin(components.world, components.protocol.observation.order)
+    return run, components
+
+
+def test_a_training_that_diverges_ends_in_one_line(tmp_path):
+    imitation = begun(tmp_path / "first", "imitation.fraction=1", "imitation.lr=1e20")
+    refused("^the imitation has diverged: a loss of nan at step 1; lower", run_stages, *imitation, train)
+    options = ["imitation.fraction=0", "optimiser.lr=1e30", "reinforcement.frames_per_scene=2000"]
+    refused("^the policy has diverged, its logits are not finite: lower", run_stages, *begun(tmp_path, *options), train)
 
 
 def test_a_reinforcement_after_dagger_tells_its_own_frames(tmp_path):
     options = ["imitation.rounds=1", "imitation.max_steps=3", "reinforcement.frames_per_scene=60"]
-    run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
-    components = build_components(run)
-    run.begin(components.protocol.world, components.protocol.observation.order)
-    told = train(run, components)
-    assert told["frames"] == components.state.frames == 60
-    assert (tmp_path / "run" / "dagger.csv").read_text().splitlines()[1].split(",")[:2] == ["1", "120"]
+    run, components = begun(tmp_path, *options)
+    assert train(run, components)["frames"] == components.state.frames == 60
+    assert (run.folder / "dagger.csv").read_text().splitlines()[1].split(",")[:2] == ["1", "120"]
 
 
 def test_a_training_walks_to_all_its_goals_though_few_are_evaluated(tmp_path):
     options = ["goals=all", "evaluation.goals=2", "imitation.rounds=1", "imitation.max_steps=3"]
-    run = Run(tmp_path / "run", train_config(f"scene={room_file(tmp_path)}", *DIVERGING, *options))
-    components = build_components(run)
-    run.begin(components.world, components.protocol.observation.order)
+    run, components = begun(tmp_path, *options)
     walked = components.state.env.base_env.world.goals
     assert (len(walked), len(components.protocol.world.goals)) == (len(components.world), 2)
     (labelled, _) = next(dagger_rounds(run, components, components.demos))

@@ -1,13 +1,16 @@
-"""The losses of an update together, and what updates tell."""
+"""Rollouts, the losses of an update together, and what updates tell."""
 
 import pytest
 import torch
 from commands import room_file
+from networks import make_policy
 from parts import make_parts, train_state
 from refusals import refused
 from tensordict import TensorDict
+from torchrl.envs import Compose, StepCounter, TransformedEnv
 
 from dirl.config.schemas import Schedule
+from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.models import recurrent_keys
 from dirl.training.objectives import Losses, ScheduledLoss, as_first_steps, bootstrap, make_advantages, minibatches
 from dirl.training.rollout import collect, report
@@ -72,30 +75,25 @@ def test_the_losses_are_those_of_each_module_on_its_own_rows_weighted(room, memo
     assert {name for name in found.keys() if name.startswith("loss_")} == names  # noqa: SIM118, of a TensorDict
 
 
-@pytest.mark.parametrize(
-    ("options", "names"),
-    [([], ["a2c", "imitation"]), (["imitation.bc_coef=0"], ["a2c"]), (["objective=none"], ["imitation"])],
-    ids=str,
-)
-def test_losses_without_weight_or_demonstrations_are_left_out(room, options, names):
-    parts = make_parts(room, *SMALL, *(option.replace("coef=0", "coef={start:0,end:0}") for option in options))
-    assert list(parts.losses.losses) == names
-    assert parts.losses.on_rollouts == (names != ["imitation"])
+def test_losses_without_weight_or_demonstrations_are_left_out(room):
+    both, rewarded, imitated = (
+        make_parts(room, *SMALL, *options).losses
+        for options in ([], ["imitation.bc_coef={start:0,end:0}"], ["objective=none"])
+    )
+    assert [list(one.losses) for one in (both, rewarded, imitated)] == [["a2c", "imitation"], ["a2c"], ["imitation"]]
+    assert [one.on_rollouts for one in (both, rewarded, imitated)] == [True, True, False]
 
 
-@pytest.mark.parametrize(
-    ("written", "told"),
-    [
+def test_a_loss_of_ones_own_that_writes_something_else_is_told(room):
+    parts = make_parts(room, *SMALL)
+    batch = rows(parts)
+    for written, told in (
         ({"reported": 0.0}, r"losses\.own: Own writes no loss_\* entry"),
         ({"loss_own": torch.zeros(2)}, r"losses\.own: gives loss_own \[2\]; expected one number, \[\]"),
         ({"loss_objective": 0.0}, r"losses\.own: writes loss_objective, as another loss does"),
-    ],
-)
-def test_a_loss_of_ones_own_that_writes_something_else_is_told(room, written, told):
-    parts = make_parts(room, *SMALL)
-    loss = Own(written)
-    losses = {**parts.losses.losses, "own": ScheduledLoss(loss, {"weight": Schedule(1.0, 1.0)})}
-    refused(f"^{told}$", Losses(parts.policy, losses, parts.demos), rows(parts), 1.0)
+    ):
+        losses = {**parts.losses.losses, "own": ScheduledLoss(Own(written), {"weight": Schedule(1.0, 1.0)})}
+        refused(f"^{told}$", Losses(parts.policy, losses, parts.demos), batch.copy(), 1.0)
 
 
 class Own(torch.nn.Module):
@@ -112,16 +110,15 @@ class Own(torch.nn.Module):
         return TensorDict(self.written)
 
 
-class OnDemonstrations(Own):
-    """Whose argument is called so, though it reads nothing else."""
-
-    in_keys = ("expert_action",)
-
-    def forward(self, demonstrations):
-        return TensorDict(self.written)
-
-
 def test_a_loss_compares_if_it_takes_demonstrations_beside_the_rollout():
+    class OnDemonstrations(Own):
+        """Whose argument is called so, though it reads nothing else."""
+
+        in_keys = ("expert_action",)
+
+        def forward(self, demonstrations):
+            return TensorDict(self.written)
+
     loss = ScheduledLoss(OnDemonstrations({}), {})
     assert (loss.on_demonstrations, loss.compares) == (True, False)
 
@@ -153,3 +150,52 @@ def test_minibatches_take_every_row_once_a_pass(room):
     agents = list(minibatches(batch, epochs=1, count=3, by_agent=True))
     assert [part.batch_size for part in agents] == [(10, 20)] * 3
     assert all((part["number"].diff() == 1).all() for part in agents)
+
+
+AGENTS, STEPS = 12, 20
+
+
+def make_env(world, views=SurroundingViews, agents=AGENTS):
+    transforms = Compose(StepCounter(7), views(world))
+    return TransformedEnv(NavigationEnv(world, agents, seed=3), transforms)
+
+
+@pytest.fixture
+def policy(world):
+    return make_policy(world.features, world.names, width=8).operator()
+
+
+def test_agents_that_are_done_start_anew(world, policy):
+    env = make_env(world)
+    batch, agents = collect(env, policy, env.reset(), STEPS)
+    done = batch["next", "done"].squeeze(-1)
+    assert batch["next", "terminated"].any()
+    assert batch["next", "truncated"].any()
+    begun = batch[:, 1:][done[:, :-1]]
+    assert (begun["step_count"] == 0).all()
+    assert (begun["state"] != begun["goal"]).all()
+    assert not torch.equal(begun["goal"], batch["next"][:, :-1][done[:, :-1]]["goal"])
+    assert not batch["done"].any()
+    assert not agents["done"].any()
+
+
+def test_actions_are_sampled_and_not_the_most_probable_ones(world, policy):
+    batch, _ = collect(make_env(world), policy, make_env(world).reset(), STEPS)
+    case = batch["state"] * len(world) + batch["goal"]
+    taken = torch.stack([case.flatten(), batch["action"].flatten()]).unique(dim=1)
+    assert taken.shape[1] > 1.5 * len(case.unique())  # several in a state on the way to a goal
+
+
+def test_two_short_calls_are_one_long_call(world, policy):
+    def in_calls_of(*lengths):
+        env = make_env(world, SequentialViews)
+        torch.manual_seed(0)
+        agents, batches = env.reset(), []
+        for steps in lengths:
+            batch, agents = collect(env, policy, agents, steps)
+            batches.append(batch)
+        return torch.cat(batches, 1), agents
+
+    whole, parts = in_calls_of(15), in_calls_of(4, 1, 10)
+    assert (whole[0] == parts[0]).all()
+    assert (whole[1] == parts[1]).all()
