@@ -130,13 +130,13 @@ def run_command(words, monkeypatch):
         words += [option for option in QUICK.get(words[1], ()) if option.partition("=")[0] not in given]
         words += ["hydra.sweeper.n_trials=2"] if "hydra/sweeper" in given else []
     monkeypatch.setattr(sys, "argv", words[1:])
-    with no_pictures(monkeypatch) if words[1].endswith("train.py") else nullcontext():
+    with no_pictures(monkeypatch) if words[1] in QUICK else nullcontext():
         runpy.run_path(str(ROOT / words[1]), run_name="__main__")
 
 
 @contextmanager
 def no_pictures(monkeypatch):
-    """Leave the pictures of trainings empty, which are looked at in test_train.py."""
+    """Leave the pictures of trainings and evaluations empty, which are looked at in test_platforms.py."""
     with monkeypatch.context() as patch:
         patch.setattr(job, "draw_learning_curve", lambda folder, file: empty_file(file))
         patch.setattr(pictures, "draw_policy", empty_file)
