@@ -97,6 +97,8 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, monkeypatc
         walked, stopped = walk_until_stop(act, world, path[0], most)
         assert walked == path
         assert stopped == bool(ended[episode])
+        if "+policy.locates=3" in options:  # every visit tells where the goal lies
+            assert navigator.agent.belief.visits == len(walked)
 
 
 def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world):

@@ -11,7 +11,7 @@ from rooms import grid_scene
 from shown_goals import trained
 
 from dirl import Navigator
-from dirl.perception.backbones import ResNet50, load_encoder
+from dirl.perception.backbones import ResNet50, load_encoder, preprocess
 from dirl.scenes import ACTIONS, make_world
 
 IMAGES = np.random.default_rng(0).integers(0, 256, (4, 40, 50, 3), np.uint8)
@@ -48,8 +48,9 @@ def test_an_encoder_is_loaded_by_name_and_compared_by_what_it_says_of_itself(run
 
 
 def test_an_encoder_from_a_file_of_weights_is_named(tmp_path):
-    name = str(tmp_path / "resnet.pth")
-    torch.save(ResNet50().state_dict(), name)
+    name, backbone, views = str(tmp_path / "resnet.pth"), ResNet50(), torch.from_numpy(IMAGES)
+    torch.save(backbone.state_dict(), name)
+    torch.testing.assert_close(load_encoder(name)(views), backbone(preprocess(views)), rtol=1e-4, atol=1e-5)
     run = finished_run(tmp_path / "run", load_encoder(name).extractor)
     navigator = Navigator.load(run, name)
     navigator.reset(IMAGES)
