@@ -116,7 +116,7 @@ class Options:
 if __name__ == "__main__":
     options = start(__doc__, Options)  # "loading ...", or help; the imports below take their time
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -135,7 +135,7 @@ from dirl.perception.recognition.recogniser import NCC, build_recogniser, stop_b
 from dirl.reporting import draw_paths, run_title, summary_table, viewer_pages, write_goals
 from dirl.reporting.tables import GOAL_COLUMNS
 from dirl.runs.checkpoints import RunError, State, load_checkpoint, packaged_agent
-from dirl.scenes import Scene, load_scenes
+from dirl.scenes import load_scenes
 from dirl.scenes.graph import turns_per_circle
 from dirl.scenes.io.files import write_json, write_text
 from dirl.scenes.live import Dumped, LiveWorld, Noisy, Simulated, repeats, shortest_move, state_pose
@@ -241,14 +241,15 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
     Correlation tells such views apart; a recogniser that allows for changes takes places of a maze for one.
     """
     config = saved_config(saved, options.checkpoint, changes, options.trust or [])
-    source = make("source", config.source, config.trust)
-    scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
     memory = make("episodic_memory", config.episodic_memory, config.trust)
     live = options.simulator is not None  # a navigator walks there, see `walk_live`
     asked = options.episodic_memory, options.recogniser, options.map
-    if not live and asked == (None, None, None) and views_return(memory, scenes):
-        changes = {**changes, **{name: group_options(name, option) for name, option in PLANS.items()}}
-        changes["stop.threshold"] = options.threshold or RETURNED
+    if not live and asked == (None, None, None) and isinstance(memory, LocalisingMemory):
+        source = make("source", config.source, config.trust)
+        scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
+        if all(scene.looks == 1 for scene in scenes):  # their views return bit for bit
+            changes = {**changes, **{name: group_options(name, option) for name, option in PLANS.items()}}
+            changes["stop.threshold"] = options.threshold or RETURNED
     return load_trained(saved, options.checkpoint, changes, options.trust or []), changes
 
 
@@ -282,11 +283,6 @@ def check(options: Options) -> None:
         new_file(options.out, ending="")
     if options.beside is not None and not options.viewer:
         raise ConfigError(f"beside={options.beside}: only the viewer shows two agents; give viewer=true too")
-
-
-def views_return(memory: object, scenes: Sequence[Scene]) -> bool:
-    """Return whether an agent that localises would be in scenes of one look, whose views return bit for bit."""
-    return isinstance(memory, LocalisingMemory) and all(scene.looks == 1 for scene in scenes)
 
 
 def as_visitors_see(trained: Trained, *, arrows: bool | None, panorama: bool | None) -> Trained:
@@ -348,7 +344,7 @@ def walk_live(trained: Trained, options: Options) -> dict[str, Any]:
     if encoder is None:
         raise RunError(f"{scene.origin}: its features are of no encoder of the package; encode it again")
     chosen: Mapping[str, str | None] = {"recogniser": options.recogniser, "episodic_memory": options.episodic_memory}
-    localises = not any(chosen.values()) and views_return(protocol.memory, [scene])
+    localises = not any(chosen.values()) and isinstance(protocol.memory, LocalisingMemory) and scene.looks == 1
     # A simulator may show the same views again, unless the agent errs in its turns.
     plans = localises and not options.turn_error and repeats(world, state_pose(scene, 0))
     if plans:

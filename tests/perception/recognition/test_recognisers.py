@@ -141,3 +141,8 @@ def test_a_state_stops_only_above_the_threshold(world):
     stop = world.block(TemplateStop(threshold)(world), 0)
     assert stop.sum() == 2
     assert torch.equal(stop, scores > threshold)
+
+
+def test_a_stop_that_matches_something_else_is_refused():
+    with pytest.raises(ValueError, match="match is 'views' or 'front', not 'sides'"):
+        TemplateStop(match="sides")

@@ -355,6 +355,10 @@ class TemplateStop:
     match: Literal["views", "front"] | Match = "views"
     recogniser: Recogniser = field(default_factory=NCC, compare=False)
 
+    def __post_init__(self) -> None:
+        if self.match not in ("views", "front"):
+            raise ValueError(f"match is 'views' or 'front', not '{self.match}'")
+
     @torch.no_grad()  # a learned recogniser has weights
     def scores(self, world: World) -> Tensor:
         """Return the score of every pair of a goal and a state of its scene, float32 ``[P]``, see `World.pair`.
