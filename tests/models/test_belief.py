@@ -158,7 +158,7 @@ def test_a_move_that_was_blocked_leads_to_no_new_place(stayed, places):
 
 
 def test_views_that_return_leave_no_doubt_whatever_the_locator_tells_of_the_last_move():
-    memory, surely = LocalisingMemory(temperature=8.0), torch.tensor([50.0])
+    memory, surely = LocalisingMemory(temperature=8.0, blocked=0.01), torch.tensor([50.0])
     walked, odds, costs = arrived(memory, -9.0, -9.0, -9.0, -9.0), torch.full((1, 4), -9.0), torch.ones(1, 4, 4)
     walked.action = torch.tensor([AHEAD])
     for exact, views, stayed, places in ((False, -20.0, surely, 1), (True, -20.0, surely, 2), (True, 20.0, -surely, 1)):
