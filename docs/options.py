@@ -13,8 +13,7 @@ from omegaconf import OmegaConf
 from dirl.cli.help import shown
 from dirl.config.components import GROUPS, TARGET, class_parameters, find_class
 from dirl.config.files import leaves
-from dirl.config.options import MISSING, comments, meanings, option_types
-from dirl.config.schemas import Schedule, TrainConfig, Weight
+from dirl.config.schemas import MISSING, Schedule, TrainConfig, Weight, comments, meanings, option_types
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
 

@@ -20,7 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
 from dirl.cli.start import run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 from dirl.scenes.scene import SceneError
 from dirl.sources.rooms.description import Camera, Material, RoomDescription
 from dirl.sources.rooms.layout import Opening, assemble, materials_of

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from dirl.agent.mapping.frames import Found, FrameMap, find_links, map_recordings
 from dirl.cli.start import run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 from dirl.perception.matching import Described, Matcher
 from dirl.reporting.style import plain
 from dirl.scenes.views import natural_order

@@ -27,8 +27,7 @@ import torch
 from dirl.cli.parsing import compose_training
 from dirl.cli.start import run, start
 from dirl.config.files import typed
-from dirl.config.options import option
-from dirl.config.schemas import Device
+from dirl.config.schemas import Device, option
 from dirl.evaluation.protocol import metrics
 from dirl.models import plain_weights
 from dirl.runs.checkpoints import load_checkpoint

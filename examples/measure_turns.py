@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dirl.agent.mapping.frames import map_recordings
 from dirl.agent.mapping.guide import Guide
 from dirl.cli.start import run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 from dirl.perception.matching import Matcher
 from dirl.sources.video import Recording
 

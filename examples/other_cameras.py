@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dirl.cli.start import run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 from dirl.perception.backbones import encode_all, load_encoder
 from dirl.perception.backbones.encoder import reduced
 from dirl.scenes.catalogue import load_scenes

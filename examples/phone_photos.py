@@ -17,7 +17,7 @@ from tqdm import tqdm
 import dirl
 from dirl.agent import agent
 from dirl.cli.start import run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 from dirl.evaluation.live_episodes import Remembered
 from dirl.scenes.graph import RIGHT
 from dirl.scenes.views import decode, encode

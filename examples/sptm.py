@@ -25,8 +25,7 @@ from tqdm import tqdm
 from dirl.agent.mapping.frames import FrameMap, find_links, map_recordings
 from dirl.agent.mapping.guide import Guidance, Guide
 from dirl.cli.start import run, start
-from dirl.config.options import option
-from dirl.config.schemas import ConfigError, Positive
+from dirl.config.schemas import ConfigError, Positive, option
 from dirl.experiments.results import Table, write_tables
 from dirl.perception.columns import load_column_net
 from dirl.scenes.io.files import read_text, write_json

@@ -22,7 +22,7 @@ from sptm import AHEAD, BUTTONS, IDLE, TURN_LEFT, TURN_RIGHT
 from torch import Tensor
 
 from dirl.cli.start import run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 from dirl.perception.columns import BEARING, COLUMNS, UNIT, ColumnNet, images_of
 
 Frames, Poses, Depths = NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]

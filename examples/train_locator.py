@@ -23,8 +23,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dirl.cli.start import new_file, run, start
-from dirl.config.options import option
-from dirl.config.schemas import Positive, Seed
+from dirl.config.schemas import Positive, Seed, option
 from dirl.models.features import FeatureTable
 from dirl.models.locator import GoalLocator
 from dirl.perception.backbones.patches import FINE, are_fine, coarse

@@ -16,7 +16,7 @@ from dirl.agent.mapping import MapError
 from dirl.agent.mapping.frames import FrameMap, find_links, map_recordings
 from dirl.agent.mapping.guide import Guide
 from dirl.cli.start import run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 from dirl.perception.matching import Matcher
 from dirl.scenes.live import Pose
 from dirl.sources.miniworld import MiniWorld

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dirl.cli.start import new_file, run, start
-from dirl.config.options import option
-from dirl.config.schemas import ConfigError, Frames, Positive, TrainConfig
+from dirl.config.schemas import ConfigError, Frames, Positive, TrainConfig, option
 
 
 @dataclass

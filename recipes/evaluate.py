@@ -14,7 +14,6 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from dirl.cli.start import new_file, run, start
-from dirl.config.options import option
 from dirl.config.schemas import (
     ConfigError,
     Correlation,
@@ -27,6 +26,7 @@ from dirl.config.schemas import (
     Split,
     Starts,
     Stop,
+    option,
 )
 from dirl.config.schemas import Episodes as EpisodeCount
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dirl.cli.start import new_file, run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 
 
 @dataclass

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from dirl.cli.start import new_file, run, start
-from dirl.config.options import option
+from dirl.config.schemas import option
 
 
 @dataclass

@@ -13,8 +13,7 @@ from typing import Annotated
 from annotated_types import Ge
 
 from dirl.cli.start import run, start
-from dirl.config.options import option
-from dirl.config.schemas import ExperimentName, Positive, TrainConfig
+from dirl.config.schemas import ExperimentName, Positive, TrainConfig, option
 
 
 @dataclass

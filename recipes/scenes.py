@@ -22,8 +22,7 @@ from typing import Annotated
 from annotated_types import Ge, Interval
 
 from dirl.cli.start import check_writable, new_file, run, start
-from dirl.config.options import option
-from dirl.config.schemas import Correlation, Device, Fraction, Match, Positive, Seed
+from dirl.config.schemas import Correlation, Device, Fraction, Match, Positive, Seed, option
 
 Pixels = Annotated[int, Interval(ge=16, le=4096)]
 FieldOfView = Annotated[float, Interval(ge=10, le=150)]

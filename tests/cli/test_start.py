@@ -22,8 +22,7 @@ from refusals import refused
 from dirl.cli.parsing import compose_training, parse, prepare
 from dirl.cli.start import new_file, start
 from dirl.config.files import typed
-from dirl.config.options import option
-from dirl.config.schemas import Device
+from dirl.config.schemas import Device, option
 
 RECIPES = sorted(set(SCHEMAS) - {"benchmark"})
 

@@ -5,8 +5,7 @@ from typing import get_args
 
 from forks import ROOT
 
-from dirl.config.options import option_types
-from dirl.config.schemas import TrainConfig
+from dirl.config.schemas import TrainConfig, option_types
 
 CONF = ROOT / "conf"
 

@@ -12,8 +12,7 @@ from omegaconf import OmegaConf
 
 from dirl.cli.parsing import compose_training
 from dirl.config.folders import CONF, RECIPES, VARIABLE, command
-from dirl.config.options import comments, meanings, option_types
-from dirl.config.schemas import TrainConfig
+from dirl.config.schemas import TrainConfig, comments, meanings, option_types
 
 
 def show_commands(text: str, schemas: Mapping[str, type]) -> NoReturn:

@@ -19,8 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 from dirl.config.components import GROUPS, check_choice
 from dirl.config.files import typed
 from dirl.config.folders import CONF
-from dirl.config.options import meanings, option_types
-from dirl.config.schemas import ConfigError, Schedule, TrainConfig, Weight
+from dirl.config.schemas import ConfigError, Schedule, TrainConfig, Weight, meanings, option_types
 
 T = TypeVar("T")
 

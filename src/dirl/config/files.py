@@ -15,8 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from dirl.config.components import PUBLIC, TARGET, Options, check_components, check_value, make
 from dirl.config.folders import CONF
-from dirl.config.options import option_types
-from dirl.config.schemas import ConfigError, TrainConfig
+from dirl.config.schemas import ConfigError, TrainConfig, option_types
 
 MAX_CHARACTERS = 200_000
 """Of a saved configuration; those that are written here have 4,000."""

@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from dirl.scenes.io.hdf5 import extractor_text
+from dirl.scenes.io.hdf5 import EXTRACTOR_ATTRIBUTES
 
 
 class EncoderError(ValueError):
@@ -37,7 +37,7 @@ class ViewEncoder:
     @property
     def extractor(self) -> str:
         """The attributes as one text; scenes can share a world only if theirs are equal (``Scene.extractor``)."""
-        return extractor_text(self.attributes)
+        return "; ".join(self.attributes[key] for key in EXTRACTOR_ATTRIBUTES if self.attributes.get(key))
 
     def __call__(self, views: Tensor) -> Tensor:
         """Return features, float32 ``[B, D]``, of RGB views, uint8 ``[B, H, W, 3]``."""

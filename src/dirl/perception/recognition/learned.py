@@ -8,9 +8,8 @@ import torch.nn.functional as F
 from annotated_types import Interval
 from torch import Tensor, nn
 
-from dirl.perception.backbones.patches import are_fine, coarse
+from dirl.perception.backbones.patches import FINE, PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
-from dirl.perception.recognition.photo import PhotoOdds
 from dirl.perception.recognition.recogniser import Thresholds
 from dirl.scenes.io.files import read_tensors
 
@@ -37,6 +36,20 @@ SCALE = 4.0
 """Factor of the cosines, so that the layers on them learn as fast as the others."""
 
 PAIRS_AT_ONCE = 4096
+
+CHANNELS = PATCH_SHAPE[1]
+
+PATCH_KEPT, PATCH_PROJECTED = 32, 32
+"""Channels of a fine patch that `PhotoOdds` compares as they are, and width of its learned projection."""
+
+PATCH_ROWS, PATCH_COLUMNS = 1, 2
+"""A fine patch of a photo is compared with those of the view so far above, below and aside."""
+
+PATCH_OFFSETS = (2 * PATCH_ROWS + 1) * (2 * PATCH_COLUMNS + 1)
+
+BLANK = 0.92
+"""Length of the mean of a view's patches, vectors of length one, above which it shows nothing. It is 0.95 to 0.99 of
+images of one colour, with noise and without, and at most 0.89 of the 588 views of two built-in rooms."""
 
 
 class Learned(nn.Module):
@@ -79,11 +92,11 @@ class Learned(nn.Module):
         features = len(stored.get("mean", ()))
         self.register_buffer("mean", torch.zeros(features))
         self.register_buffer("axes", torch.zeros(features, POOLED))
-        self.register_buffer("patch_mean", torch.zeros(96))
-        self.register_buffer("patch_axes", torch.zeros(96, 96))
+        self.register_buffer("patch_mean", torch.zeros(CHANNELS))
+        self.register_buffer("patch_axes", torch.zeros(CHANNELS, CHANNELS))
         self.register_buffer("calibration", torch.tensor([[1.0, 0.0], [1.0, 0.0]]))
         self.dropout = nn.Dropout(dropout)
-        self.patch = nn.Linear(96, PROJECTED, bias=False)
+        self.patch = nn.Linear(CHANNELS, PROJECTED, bias=False)
         self.view = nn.Linear(POOLED, WHITENED, bias=False)
         self.column = nn.Linear((2 * OFFSETS + 1) * ROWS * ROWS * 2 + 2, width)
         self.near = nn.ModuleList(nn.Conv1d(width, width, 3) for _ in range(2))
@@ -119,14 +132,14 @@ class Learned(nn.Module):
         """Whiten by N views of training rooms: pooled features, float ``[N, D]``, and patches, ``[N, cells, 96]``."""
         self.mean, axes = principal_components(features.float(), POOLED)
         self.axes = F.pad(axes, (0, POOLED - axes.shape[1]))
-        self.patch_mean, self.patch_axes = principal_components(coarse(patches).flatten(0, 1).float(), 96)
+        self.patch_mean, self.patch_axes = principal_components(coarse(patches).flatten(0, 1).float(), CHANNELS)
         if are_fine(patches):
             self.photo.measure(patches)
 
     def describe(self, features: Tensor, patches: Tensor | None = None) -> Tensor:
         """Return patches and pooled features, whitened and projected, each of length one; see `Recogniser.describe`."""
         known = patches is not None and (are_fine(patches) or patches.shape[-2] == ROWS * COLUMNS)
-        if patches is None or not known or features.shape[-1] != len(self.mean) or patches.shape[-1] != 96:
+        if patches is None or not known or features.shape[-1] != len(self.mean) or patches.shape[-1] != CHANNELS:
             raise ValueError(
                 f"recogniser=learned compares 8 or 48 patches and {len(self.mean)} features a view, and these views "
                 "have others: encode them with encoder=efficientnet_lite0 fine_patches=true, or use recogniser=ncc"
@@ -194,6 +207,86 @@ class Learned(nn.Module):
         whole = compared[..., -2:].mean((-1, -2)).flatten().unsqueeze(-1)
         odds = self.odds[several](torch.cat([read.mean(-1), read.amax(-1), whole], -1))
         return odds.view(compared.shape[:-2])
+
+
+class PhotoOdds(nn.Module):
+    """Compares each fine patch of a photo with those of the view ahead that are near its place in the picture.
+
+    A step ahead moves patches away from the middle, an error of heading moves all alike. Convolutions over the cells
+    read the cosines at all offsets, and so which of them moved where. The view goes on into those to the left and to
+    the right.
+
+    Args:
+        width: of the convolutions.
+        dropout: of patches, in training.
+    """
+
+    def __init__(self, width: int = 48, dropout: float = 0.2) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(CHANNELS))
+        self.register_buffer("std", torch.zeros(CHANNELS))
+        self.register_buffer("calibration", torch.tensor([1.0, 0.0]))
+        self.dropout = nn.Dropout(dropout)
+        self.patch = nn.Linear(CHANNELS, PATCH_PROJECTED, bias=False)
+        self.cosines = nn.Conv2d(2 * PATCH_OFFSETS, width, 1)
+        self.near = nn.ModuleList(nn.Conv2d(width, width, 3, padding=1) for _ in range(2))
+        self.odds = nn.Sequential(nn.Linear(2 * width, 64), nn.ReLU(), nn.Linear(64, 1))
+
+    mean: Tensor
+    std: Tensor
+    """Mean and deviation of fine patches in training rooms; zeros before the training."""
+    calibration: Tensor
+    """Slope and intercept of the log odds, float32 ``[2]``."""
+
+    @property
+    def trained(self) -> bool:
+        """Whether there are weights to compare photos with."""
+        return bool(self.std.any())
+
+    def measure(self, patches: Tensor) -> None:
+        """Standardise by those of training rooms, float ``[N, 48, 96]``."""
+        cells = patches.flatten(0, 1).float()
+        self.mean, self.std = cells.mean(0), cells.std(0)
+
+    def describe(self, patches: Tensor) -> Tensor:
+        """Return two vectors of length one a cell, float ``[..., cells, 96]`` to float32 ``[..., cells * 64]``."""
+        standard = (patches.float() - self.mean) / self.std
+        parts = self.patch(self.dropout(standard)), standard[..., :PATCH_KEPT]
+        return torch.cat([F.normalize(part, dim=-1) for part in parts], -1).flatten(-2)
+
+    def scores(self, seen: Tensor, photos: Tensor) -> Tensor:
+        """Return the log odds of visits, ``[..., A, 4, F]``, with photos, ``[..., B, F]``; ``[..., A, B]``.
+
+        They are minus infinity where the view ahead shows nothing, as of a camera that is covered or dead.
+        """
+        ahead = seen[..., 0, :].unflatten(-1, (*FINE, -1))[
+            ..., 1:-1, 1:-1, PATCH_PROJECTED:
+        ]  # at its edges patches differ
+        blank = ahead.mean((-3, -2)).norm(dim=-1) > BLANK
+        around, photos = self._windows(seen), photos.unflatten(-1, (FINE[0] * FINE[1], -1))
+        cosines = []
+        for part in (slice(PATCH_PROJECTED), slice(PATCH_PROJECTED, None)):
+            cosines.append(torch.einsum("...aocw,...bcw->...aboc", around[..., part], photos[..., part]))
+        compared = SCALE * torch.cat(cosines, -2)
+        slope, intercept = self.calibration
+        odds = slope * self._read(compared.flatten(0, -3)).view(compared.shape[:-2]) + intercept
+        return odds.masked_fill(blank[..., None], -torch.inf)
+
+    def _windows(self, seen: Tensor) -> Tensor:
+        """Return the patches near each cell of the view ahead, of ``[..., 4, F]``: ``[..., offsets, 48, W]``."""
+        ahead, right, _, left = seen.unflatten(-1, (*FINE, -1)).unbind(-4)
+        wide = torch.cat([left[..., -PATCH_COLUMNS:, :], ahead, right[..., :PATCH_COLUMNS, :]], -2)
+        wide = F.pad(wide, (0, 0, 0, 0, PATCH_ROWS, PATCH_ROWS))
+        rows, columns = range(2 * PATCH_ROWS + 1), range(2 * PATCH_COLUMNS + 1)
+        moved = [wide[..., y : y + FINE[0], x : x + FINE[1], :].flatten(-3, -2) for y in rows for x in columns]
+        return torch.stack(moved, -3)
+
+    def _read(self, compared: Tensor) -> Tensor:
+        """Return the log odds by the cosines of a pair, float32 ``[P, 2 * offsets, 48]`` to ``[P]``."""
+        read = F.relu(self.cosines(compared.unflatten(-1, FINE)))
+        for layer in self.near:
+            read = read + F.relu(layer(read))
+        return self.odds(torch.cat([read.mean((2, 3)), read.amax((2, 3))], 1)).squeeze(1)
 
 
 def _parts(described: Tensor) -> tuple[Tensor, ...]:

@@ -9,7 +9,7 @@ import json
 import math
 import mmap
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -88,11 +88,6 @@ def unreadable(error: Exception) -> str:
     return f"not a readable HDF5 file, perhaps a broken download ({reason})"
 
 
-def extractor_text(attributes: Mapping[str, str]) -> str:
-    """Return what made some features, as one text, from the attributes of ``resnet_feature``; empty without any."""
-    return "; ".join(attributes[key] for key in EXTRACTOR_ATTRIBUTES if attributes.get(key))
-
-
 def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
     missing = [key for key in ("graph", "location", "rotation") if key not in file]
     if missing:
@@ -115,8 +110,11 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         mapped[array] = (offset, list(dataset.shape), dataset.dtype.str)
     verified = intact or check_digest(file)
     values: NDArray[np.floating] | None = None
-    features = datasets.get("resnet_feature")
+    features, extractor = datasets.get("resnet_feature"), "none"
     if features is not None:
+        extractor = (
+            "; ".join(filter(None, (_text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES))) or "unknown"
+        )
         offset = features.id.get_offset() if verified and features.dtype in (np.float16, np.float32) else None
         if offset is not None:  # mapped like the others: a world copies them, and then they need no memory
             mapped["features"] = (offset, list(features.shape), features.dtype.str)
@@ -131,9 +129,7 @@ def _read(file: h5py.File, path: Path, intact: bool) -> Contents:
         "positions": datasets["location"][:],
         "headings": datasets["rotation"][:],
         "features": values,
-        "extractor": "none"
-        if features is None
-        else extractor_text({key: _text_attribute(features, key) for key in EXTRACTOR_ATTRIBUTES}) or "unknown",
+        "extractor": extractor,
         "name": _text_attribute(file, "name"),
         "source": _text_attribute(file, "source"),
         "goals": _goals(file.attrs.get("goals"), states),
