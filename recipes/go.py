@@ -37,8 +37,8 @@ from dirl.agent.mapping.moves import Move, moves_along
 from dirl.config.files import names
 from dirl.config.schemas import ConfigError
 from dirl.perception.matching import FrameMatcher
+from dirl.reporting.inspection import draw_sheet
 from dirl.reporting.map_page import write_mcap, write_page
-from dirl.reporting.sheets import draw_sheet
 from dirl.scenes.io.files import write_json
 from dirl.sources.video import Recording, read_photo
 

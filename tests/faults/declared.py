@@ -31,7 +31,7 @@ from campaign import in_a_fork
 
 from dirl.agent.mapping.frames import FrameMap, load_frames_map
 from dirl.perception.matching import Described
-from dirl.reporting.sheets import draw_sheet
+from dirl.reporting.inspection import draw_sheet
 from dirl.runs.checkpoints import DIGITS, SEAL, load_checkpoint
 from dirl.scenes.io.files import read_tensors
 from dirl.sources.photos import encoded_photos, read_photos

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from dirl.agent.mapping.graph_policy import explore
 from dirl.agent.mapping.places import ParticleMapper, PlaceMap
-from dirl.agent.mapping.walks import explore
 from dirl.evaluation.episodes import drawn_looks
 from dirl.models import LocalisingMemory
 from dirl.perception.recognition.recogniser import VisitScores
@@ -57,7 +57,7 @@ def map_scene(
         return around[offset + state] + (ahead - ahead % len(world))
 
     start = int(torch.randint(len(scene), (1,), generator=generator, device=world.device))
-    passed = explore(scene, mapper, start, round(steps_per_state * len(scene)), seen)
+    passed = explore(mapper, scene.graph, start, round(steps_per_state * len(scene)), seen)
     return mapper.map(), passed
 
 

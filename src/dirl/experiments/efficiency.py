@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.ticker import EngFormatter
 
 from dirl.evaluation.protocol import STABLE_ATL, WINDOW
-from dirl.experiments.figures import panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, grouped, published, write_tables
 from dirl.reporting.curves import atl_axis, common_frames
 from dirl.reporting.statistics import FloatArray, bootstrap_interval, iqm
+from dirl.reporting.style import panels, save_figure
 from dirl.runs.checkpoints import Summary
 from dirl.scenes.palette import COLORS
 

@@ -8,10 +8,10 @@ import torch
 from tqdm import tqdm
 
 from dirl.evaluation.protocol import metrics
-from dirl.experiments.figures import panels, save_figure
 from dirl.experiments.results import COLOR_OF, NAMES, Result, Table, by_system, published, write_tables
 from dirl.reporting import draw_trajectories, run_title, write_gif
 from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.reporting.style import panels, save_figure
 from dirl.runs.checkpoints import RunError
 from dirl.scenes import Scene
 from dirl.scenes.goals import well_reached

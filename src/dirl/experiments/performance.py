@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from dirl.config.schemas import TrainConfig
-from dirl.experiments.figures import panels, save_figure
 from dirl.experiments.results import NAMES, Cell, Result, Table, by_system, published, write_tables
 from dirl.reporting.statistics import bootstrap_interval, iqm
+from dirl.reporting.style import panels, save_figure
 from dirl.runs.checkpoints import Summary
 from dirl.scenes.palette import SYSTEM_COLORS
 

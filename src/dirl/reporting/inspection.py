@@ -1,19 +1,21 @@
-"""Pictures of a scene: its map, and all its views."""
+"""Pictures of a scene: its map, and all its views; and many pictures as one, each with a line of text above it."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from PIL import Image
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
-from dirl.reporting.sheets import LINE, draw_sheet
 from dirl.reporting.style import draw_room, marker, write_figure
 from dirl.scenes import Scene
 from dirl.scenes.graph import AHEAD, IntArray, places, turns_per_circle
-from dirl.scenes.palette import COLORS, GOAL_COLOR, WALL_COLOR
+from dirl.scenes.io.files import atomic_path
+from dirl.scenes.palette import BLUE, COLORS, GOAL_COLOR, VERMILION, WALL_COLOR
 
 MAX_THUMBNAILS = 720
 THUMBNAIL = 96
@@ -24,6 +26,9 @@ MAP_SIZE = 6.0
 
 BACKGROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 """Of the numbers on the map."""
+
+GAP, LINE = 6, 18
+"""Pixels: between the pictures of a sheet, and of a line of text."""
 
 
 def draw_scene_map(scene: Scene, parts: IntArray, file: Path) -> None:
@@ -97,3 +102,26 @@ def draw_contact_sheet(scene: Scene, file: Path) -> None:
         apart = [np.pad(view, ((0, 0), (0, 1), (0, 0)), constant_values=255) for view in small]
         pictures.append((f"{states[0]}", np.concatenate(apart, 1)))
     draw_sheet(pictures, file, columns=across)
+
+
+def draw_sheet(
+    pictures: Sequence[tuple[str, NDArray[np.uint8]]], file: Path, *, columns: int = 6, ends: bool = False
+) -> None:
+    """Write RGB pictures, uint8 ``[H, W, 3]``, all of one height, with a text above each; PNG or JPEG by the name.
+
+    With ``ends`` the first and the last are framed.
+    """
+    width = max(picture.shape[1] for _, picture in pictures) + GAP
+    height = pictures[0][1].shape[0] + LINE + GAP
+    rows = -(-len(pictures) // columns)
+    sheet = Image.new("RGB", (min(columns, len(pictures)) * width + GAP, rows * height + GAP), "white")
+    draw = ImageDraw.Draw(sheet)
+    for number, (text, picture) in enumerate(pictures):
+        x, y = number % columns * width + GAP, number // columns * height + GAP
+        draw.text((x, y + 2), text, fill="black", font=ImageFont.load_default(12))
+        sheet.paste(Image.fromarray(picture), (x, y + LINE))
+        if ends and number in (0, len(pictures) - 1):
+            corner = x + picture.shape[1], y + LINE + picture.shape[0]
+            draw.rectangle((x - 2, y + LINE - 2, *corner), outline=VERMILION if number else BLUE, width=3)
+    with atomic_path(file) as temporary:
+        sheet.save(temporary, quality=85)

@@ -1,4 +1,4 @@
-"""What all figures share: axes, markers, the room below a map, and how they are saved."""
+"""What all figures share: panels, axes, markers, the room below a map, and how they are saved."""
 
 from pathlib import Path
 
@@ -67,3 +67,19 @@ def write_figure(figure: Figure, file: Path, dpi: int = 120) -> None:
             Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").save(temporary, compress_level=3)
         else:
             canvas.print_figure(temporary, dpi=dpi)
+
+
+def panels(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """Make a figure of so many panels side by side, ``size`` in inches."""
+    figure = Figure(figsize=size, layout="constrained")
+    grid = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
+    for axes in grid:
+        plain(axes)
+    return figure, grid
+
+
+def save_figure(figure: Figure, out: Path, name: str) -> None:
+    """Write a figure as PNG and SVG."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_figure(figure, out / f"{name}.png")
+    write_figure(figure, out / f"{name}.svg", dpi=100)

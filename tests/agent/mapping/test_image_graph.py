@@ -7,7 +7,7 @@ from refusals import refused
 from rooms import grid_scene
 
 from dirl.agent.mapping import GraphMemory, GuidedPolicy, ImageGraph, load_graph, save_graph
-from dirl.agent.mapping.walks import explore, step
+from dirl.agent.mapping.graph_policy import explore
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import every_start
 from dirl.evaluation.protocol import metrics
@@ -32,7 +32,7 @@ def disturbed(views, share, seed):
 def test_a_walk_through_everything_gives_the_scene(headings):
     scene = grid_scene(**ROOM, headings=headings)
     graph = ImageGraph(turns=headings)
-    explore(scene, graph, 5, 2 * len(scene))
+    explore(graph, scene.graph, 5, 2 * len(scene), looks(scene).__getitem__)
     assert graph.frontier_action() is None  # nothing is left to be learnt
     assert len(graph) == len(scene)
     seen = looks(scene)
@@ -41,7 +41,7 @@ def test_a_walk_through_everything_gives_the_scene(headings):
     assert sorted(node_of) == list(range(len(scene)))
     for state, node in enumerate(node_of):
         found = [graph.moves[node][action] for action in range(4)]
-        assert found == [node_of[step(scene.graph, state, action)] for action in range(4)]
+        assert found == [node_of[state if after < 0 else after] for after in scene.graph[state]]
     distances = graph.plan([node_of[7]])[:, 0]
     assert distances[node_of].tolist() == scene.distances[:, 7].tolist()
 
@@ -71,7 +71,7 @@ def test_twins_are_told_apart_by_their_neighbours(turns):
     features = torch.tensor(scene.features)
     features[-turns:] = features[:turns]
     graph = ImageGraph(turns=turns)
-    explore(scene, graph, 9, 4 * len(scene), lambda state: features[torch.tensor(scene.surrounding)[state]])
+    explore(graph, scene.graph, 9, 4 * len(scene), lambda state: features[torch.tensor(scene.surrounding)[state]])
     graph.lose()
     assert len(graph) == len(scene)
 
@@ -105,7 +105,7 @@ def test_a_node_that_is_known_to_be_turned_to_from_another_one_is_no_twin():
 def test_one_look_that_fits_nowhere_is_passed_over():
     scene = grid_scene(**ROOM)
     graph, seen = ImageGraph(), looks(scene)
-    explore(scene, graph, 5, 100)
+    explore(graph, scene.graph, 5, 100, seen.__getitem__)
     size = len(graph)
     graph.lose()
     first = graph.see(seen[5])
@@ -119,7 +119,7 @@ def test_one_look_that_fits_nowhere_is_passed_over():
 def test_what_was_seen_is_only_changed_by_what_is_seen_twice(end):
     scene = grid_scene(3, 1, feature_width=64)
     graph, seen = ImageGraph(), looks(scene)
-    explore(scene, graph, 1, 100)
+    explore(graph, scene.graph, 1, 100, seen.__getitem__)
     graph.lose()
     node_of = [graph.locate(views) for views in seen]
     for believed in (node_of[5], node_of[end]):
@@ -132,7 +132,8 @@ def test_what_was_seen_is_only_changed_by_what_is_seen_twice(end):
 @pytest.fixture
 def saved(tmp_path):
     graph = ImageGraph(0.85)
-    explore(grid_scene(), graph, 0, 12)
+    scene = grid_scene()
+    explore(graph, scene.graph, 0, 12, looks(scene).__getitem__)
     return graph, save_graph(graph, tmp_path / "map", extractor="random")
 
 

@@ -1,5 +1,6 @@
 """Navigation by a topological map as a policy that is evaluated like any other: match, plan, go; nothing is learned."""
 
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
 import torch
@@ -9,10 +10,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dirl.agent.mapping.image_graph import ImageGraph, MapError
-from dirl.agent.mapping.walks import explore
+from dirl.agent.mapping.places import ParticleMapper
 from dirl.perception.recognition.recogniser import NCC, described_visits
 from dirl.scenes import ACTIONS
-from dirl.scenes.graph import turns_per_circle
+from dirl.scenes.graph import IntArray, turns_per_circle
 from dirl.scenes.world import World
 
 NO_GOAL = -(2**60)
@@ -112,7 +113,7 @@ class GraphMemory(TensorDictModuleBase):
             graph = ImageGraph(least, turns=turns_per_circle(scene.graph), recogniser=recogniser)
             visits = described_visits(recogniser, world, index)[:count].cpu()
             start = int(torch.randint(count, (1,), generator=generator))
-            explore(scene, graph, start, round(steps_per_state * count), visits.__getitem__)
+            explore(graph, scene.graph, start, round(steps_per_state * count), visits.__getitem__)
             graph.lose()
             first, far = plan_table(graph, visits, goals)
             actions.append(first.flatten())
@@ -166,6 +167,33 @@ class GuidedPolicy(TensorDictModuleBase):
         chosen = torch.arange(len(ACTIONS), device=action.device) == action.unsqueeze(-1)
         led = ((action >= 0) & (distance > self.last_steps)).unsqueeze(-1)
         return decided.set("logits", torch.where(led, CERTAIN * chosen, decided["logits"]))
+
+
+def explore(
+    graph: ImageGraph | ParticleMapper, moves: IntArray, start: int, steps: int, look: Callable[[int], Tensor]
+) -> list[int]:
+    """Fill an empty map by a walk to what is still unknown; return the states passed.
+
+    It ends early where nothing is left to be learned. The walker knows what it sees and does, never the graph of the
+    scene or the numbers of states.
+
+    Args:
+        graph: the map.
+        moves: the scene's graph, int64 ``[N, 4]``.
+        start: the first state.
+        steps: at most so many.
+        look: what is seen ahead, right, back and left of a state, in the form that the map takes, ``[4, ...]``.
+    """
+    passed = [start]
+    graph.see(look(start))
+    for _ in range(steps):
+        action = graph.frontier_action()
+        if action is None:
+            break
+        after = int(moves[passed[-1], action])
+        passed.append(passed[-1] if after < 0 else after)
+        graph.see(look(passed[-1]), action)
+    return passed
 
 
 def plan_table(graph: ImageGraph, visits: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
