@@ -1,10 +1,11 @@
-"""A scene as other cameras would see it at every visit: tilted, zoomed, distorted, compressed, small, in other light.
+"""A scene as other cameras see it: tilted, zoomed, distorted, compressed, small, in other light, covered, blurred.
 
     python examples/other_cameras.py scene=bathroom_02 change=tilt out=tilted.h5
     python recipes/evaluate.py checkpoint=general scene=tilted.h5 goals=every:9 starts=sampled \
         episodes_per_goal=3 max_steps=100
 
-Every look has errors. All views from a place share those of a visit, and no visit shows the look of its goal.
+Every look has errors, and no visit shows the look of its goal. All views from a place share the errors of a visit, but
+each is covered elsewhere.
 """
 
 import io
@@ -39,7 +40,7 @@ class Options:
     """Which camera."""
 
     scene: str = option("a built-in scene, or a dump with views")
-    change: str = option("tilt | zoom | barrel | jpeg | small | light")
+    change: str = option("tilt | zoom | barrel | jpeg | small | light | cover | blur")
     out: str = option("the dump to write (.h5)")
     looks: int = option("of each state", 6)
     seed: int = option("of the errors", 0)
@@ -85,6 +86,22 @@ def lit(view: Pixels, rng: np.random.Generator) -> Pixels:
     return np.rint(255 * np.clip((view / 255) ** gamma * gain, 0, 1)).astype(np.uint8)
 
 
+def covered(view: Pixels, rng: np.random.Generator) -> Pixels:
+    """Return a view of which a rectangle of one colour covers a fifth."""
+    height, width = view.shape[:2]
+    wide = round(width * rng.uniform(0.25, 0.8))
+    high = round(height * width / 5 / wide)
+    top, left = rng.integers(height - high + 1), rng.integers(width - wide + 1)
+    shown = view.copy()
+    shown[top : top + high, left : left + wide] = rng.integers(256, size=3)
+    return shown
+
+
+def blurred(view: Pixels, _: np.random.Generator) -> Pixels:
+    """Return a view blurred along its rows, by 7 pixels in 64."""
+    return cv2.blur(view, (max(1, view.shape[1] * 7 // 64), 1))
+
+
 CHANGES: dict[str, Callable[[Pixels, np.random.Generator], Pixels]] = {
     "tilt": lambda view, rng: seen_through(view, tilt=rng.normal(0, 3), roll=rng.normal(0, 3)),
     "zoom": lambda view, rng: seen_through(view, zoom=rng.uniform(0.9, 1.1)),
@@ -92,6 +109,8 @@ CHANGES: dict[str, Callable[[Pixels, np.random.Generator], Pixels]] = {
     "jpeg": lambda view, rng: compressed(view, int(rng.integers(30, 51))),
     "small": lambda view, rng: cv2.resize(view, None, fx=(scale := rng.uniform(0.2, 0.5)), fy=scale),
     "light": lit,
+    "cover": covered,
+    "blur": blurred,
 }
 
 
@@ -109,8 +128,9 @@ def main(scene: str, change: str, out: str, looks: int, seed: int) -> None:
 
     def visits() -> Iterator[Pixels]:
         for look in range(looks):
-            for view, at in zip(views, place, strict=True):
-                seen = cv2.resize(CHANGES[change](view, np.random.default_rng([seed, look, at])), size)
+            for state, (view, at) in enumerate(zip(views, place, strict=True)):
+                drawn = np.random.default_rng([seed, look, state if change == "cover" else at])
+                seen = cv2.resize(CHANGES[change](view, drawn), size)
                 yield reduced(torch.from_numpy(seen)[None], PIXELS)[0].numpy()
 
     features, patches = encode_all(encoder, visits(), looks * len(room), out)

@@ -167,7 +167,7 @@ def test_pairs_to_train_a_locator_with_say_where_goals_lie(monkeypatch):
 def test_another_camera_sees_the_same_room(monkeypatch):
     """Without a change the view is the same; in the middle of a camera that is tilted up lies what was higher."""
     monkeypatch.syspath_prepend(ROOT / "examples")
-    from other_cameras import FIELD_OF_VIEW, seen_through
+    from other_cameras import FIELD_OF_VIEW, covered, seen_through
 
     view = np.tile(np.arange(0, 240, 4, dtype=np.uint8)[:, None, None], (1, 80, 3))
     assert (seen_through(view) == view).all()
@@ -175,3 +175,6 @@ def test_another_camera_sees_the_same_room(monkeypatch):
     tilted = seen_through(view, tilt=np.degrees(np.arctan(5 / focal)))
     assert abs(int(tilted[30, 40, 0]) - int(view[25, 40, 0])) <= 4
     assert int(seen_through(view, zoom=2.0)[40, 40, 0]) == pytest.approx(int(view[35, 40, 0]), abs=4)
+    for seed in range(20):
+        hidden = (covered(view, np.random.default_rng(seed)) != view).any(-1).mean()
+        assert hidden == pytest.approx(0.2, abs=0.02)

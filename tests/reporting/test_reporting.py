@@ -15,6 +15,7 @@ from PIL import Image
 from rooms import CELL, grid_scene, renumbered
 
 from dirl.reporting import draw_learning_curve, draw_trajectories, result_table, run_title, summary_table
+from dirl.reporting.statistics import mean_interval
 from dirl.reporting.style import write_figure
 from dirl.reporting.tables import read_columns
 from dirl.reporting.trajectories import path_actions
@@ -96,6 +97,19 @@ def test_a_summary_is_a_heading_and_tables_of_policies_and_goals():
     *_, table = summary_table({**SUMMARY, "greedy": {**MEASURES, "scenes": scenes}}).split("\n\n")
     rows = [row[0] for row in cells(table)[1:]]  # each scene before its goals
     assert rows == ["living_room_08", "living_room_08, goal 1", "bathroom_08", "bathroom_08, goal 1"]
+
+
+def test_several_scenes_have_an_interval_and_a_worst_one_and_a_row_each_where_goals_are_many():
+    goals = {str(goal): MEASURES for goal in range(20)}
+    found = {"a": (1.0, 10), "b": (0.5, 30), "c": (0.75, 40)}
+    scenes = {name: {**MEASURES, "spl": spl, "episodes": count, "goals": goals} for name, (spl, count) in found.items()}
+    *_, over, title, table = summary_table({**SUMMARY, "greedy": {**MEASURES, "scenes": scenes}}).split("\n\n")
+    assert "in 3 scenes: 0.688, 95% interval 0.500 to 1.000" in over  # (10 + 15 + 30) / 80
+    assert over.endswith("Worst scene: b, SPL 0.500, SR 0.998.")
+    low, high = mean_interval(np.repeat([1.0, 0.0], 20), np.repeat([1.0, 9.0], 20))
+    assert 0.03 < low < 0.1 < high < 0.2
+    assert title == "Greedy policy by scene:"
+    assert [(row[0], row[-1]) for row in cells(table)[1:]] == [("a", "10"), ("b", "30"), ("c", "40")]
 
 
 def test_facts_of_a_run_are_said_as_people_say_them():

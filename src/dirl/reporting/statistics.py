@@ -34,6 +34,16 @@ def bootstrap_interval(values: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return low, high
 
 
+def mean_interval(means: FloatArray, counts: FloatArray) -> tuple[float, float]:
+    """Return the 95 % percentile bootstrap interval of the mean of all values, by resampling groups of them.
+
+    Lower and upper limit, of the means of R groups and how many values each has, float ``[R]``.
+    """
+    drawn = np.random.default_rng(0).integers(len(means), size=(RESAMPLES, len(means)))
+    low, high = np.percentile((means * counts)[drawn].sum(1) / counts[drawn].sum(1), [2.5, 97.5])
+    return float(low), float(high)
+
+
 def summarised(values: Sequence[float], form: str) -> str:
     """Return the interquartile mean and its 95 % bootstrap interval as text, "13.51 [13.20, 14.02]".
 

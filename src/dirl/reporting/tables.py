@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.config.folders import command
+from dirl.reporting.statistics import mean_interval
 from dirl.runs.checkpoints import Summary
 from dirl.scenes.io.files import atomic_path, read_text
 
@@ -107,7 +108,8 @@ def summary_table(summary: Summary) -> str:
 
     Returns:
         A heading line, the table of the policies, that of held-out goals if there are any, that of the greedy policy
-        by scene and goal if it has at most `MOST_GOALS` rows, and a hint if false stops end most of them. Markdown.
+        by scene and goal, or by scene, if it has at most `MOST_GOALS` rows, among several scenes `over_scenes`, and a
+        hint if false stops end most of them. Markdown.
     """
     facts = [] if "agent" in summary else [f"{summary['frames']:,} frames"]
     if (rate := summary.get("frames_per_second")) is not None:
@@ -127,16 +129,20 @@ def summary_table(summary: Summary) -> str:
     if held_out := summary.get("held_out"):
         rows = {label: held_out[key] for label, key in SECTIONS.items() if held_out.get(key)}
         parts += ["Goals held out of the training:", result_table(rows)]
-    # A row for each goal; among several scenes also one for each scene, before its goals.
-    by_goal: dict[str, Mapping[str, float | None]] = {}
     scenes = (summary.get("greedy") or {}).get("scenes", {})
+    several = len(scenes) > 1
+    if several:
+        parts.append(textwrap.fill(over_scenes(scenes), COLUMNS, break_on_hyphens=False))
+    # A row for each goal; among several scenes also one for each scene, before its goals.
+    listed: dict[str, Mapping[str, float | None]] = {}
     for name, measures in scenes.items():
-        prefix = f"{name}, " if len(scenes) > 1 else ""
-        if prefix:
-            by_goal[name] = measures
-        by_goal |= {f"{prefix}goal {goal}": of_goal for goal, of_goal in measures["goals"].items()}
-    if 0 < len(by_goal) <= MOST_GOALS:
-        parts += ["Greedy policy by goal:", result_table(by_goal, leave_out=["episodes"])]
+        listed |= {name: measures} if several else {}
+        prefix = f"{name}, " if several else ""
+        listed |= {f"{prefix}goal {goal}": of_goal for goal, of_goal in measures["goals"].items()}
+    if 0 < len(listed) <= MOST_GOALS:
+        parts += ["Greedy policy by goal:", result_table(listed, leave_out=["episodes"])]
+    elif several and len(scenes) <= MOST_GOALS:
+        parts += ["Greedy policy by scene:", result_table(scenes)]
     false = (summary.get("greedy") or {}).get("false_stop_rate", 0.0)
     if false > MANY_FALSE_STOPS:  # an encoder of one's own, whose features have a large mean in common
         hint = (
@@ -145,6 +151,22 @@ def summary_table(summary: Summary) -> str:
         )
         parts.append(textwrap.fill(hint, COLUMNS))
     return "\n\n".join(parts)
+
+
+def over_scenes(scenes: Mapping[str, Mapping[str, float]]) -> str:
+    """Return a sentence: the mean SPL of all episodes, its interval over scenes, and the worst scene.
+
+    Args:
+        scenes: measures by scene, at least ``spl``, ``sr`` and ``episodes``.
+    """
+    spl, episodes = (np.array([of[name] for of in scenes.values()], float) for name in ("spl", "episodes"))
+    low, high = mean_interval(spl, episodes)
+    worst = min(scenes, key=lambda name: scenes[name]["spl"])
+    return (
+        f"SPL of the greedy policy in {len(scenes)} scenes: {np.average(spl, weights=episodes):.3f}, 95% interval "
+        f"{low:.3f} to {high:.3f} (bootstrap over scenes). Worst scene: {worst}, SPL {scenes[worst]['spl']:.3f}, "
+        f"SR {scenes[worst]['sr']:.3f}."
+    )
 
 
 def run_title(summary: Summary) -> str:

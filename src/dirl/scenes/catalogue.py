@@ -59,7 +59,8 @@ class Rooms:
             path = self.folder / f"{name}.h5"
             if not path.is_file():
                 known = sorted(path.stem for path in self.folder.glob("*.h5"))
-                check_choice(name, [*known, "all", "a list of them", "<a dump>.h5"], "", "scene")
+                choices = [*known, "all", "a list of them", "<a dump>.h5", "collection:<a folder>"]
+                check_choice(name, choices, "", "scene")
             dumps.append(Dump(path, name=name, source=self.label))
         scenes = read_dumps(dumps)
         return [scene if scene.goals else replace(scene, goals=PUBLISHED_GOALS.get(scene.name, ())) for scene in scenes]
