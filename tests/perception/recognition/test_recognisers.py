@@ -146,3 +146,13 @@ def test_a_state_stops_only_above_the_threshold(world):
 def test_a_stop_that_matches_something_else_is_refused():
     with pytest.raises(ValueError, match="match is 'views' or 'front', not 'sides'"):
         TemplateStop(match="sides")
+
+
+@pytest.mark.parametrize(("looks", "compared"), [(0, 2 * 24), (1, 3)])
+def test_whole_rows_are_computed_where_views_return_and_else_what_is_asked_for(looks, compared, monkeypatch):
+    scores, counted = VisitScores(NCC(), make_world([grid_scene(looks=looks)])), []
+    compute = NCC.scores
+    monkeypatch.setattr(NCC, "scores", lambda *views: counted.append(compute(*views)) or counted[-1])
+    for _ in range(2):
+        scores(torch.tensor([3, 3, 9]), torch.tensor([4, 7, 20]))
+        assert sum(answer.numel() for answer in counted) == compared

@@ -259,11 +259,16 @@ def recogniser_name(recogniser: Recogniser) -> str:
     return f"{kind.__module__}.{kind.__qualname__} sha256:{digest.hexdigest()[:16]}"
 
 
+PAIRS = 256
+"""Visits that are compared with a reference each at a time: a hundred megabytes."""
+
+
 class VisitScores:
     """The scores between every two visits of each scene of a world.
 
-    A visit is named by its first view id, ``look * N + state``: the other three follow from it. All scores of
-    a reference are computed when it is first asked for.
+    A visit is named by its first view id, ``look * N + state``: the other three follow from it. Scores are computed when
+    they are first asked for: in a world of one look all of a reference, in one that changes, where a visit hardly ever
+    returns, no others.
 
     Args:
         recogniser: compares them.
@@ -273,7 +278,7 @@ class VisitScores:
 
     @torch.no_grad()
     def __init__(self, recogniser: Recogniser, world: World, match: str = "views") -> None:
-        self.recogniser, self.match = recogniser, match
+        self.recogniser, self.match, self.looks = recogniser, match, world.looks
         self.visits = [described_visits(recogniser, world, index) for index in range(len(world.scenes))]
         sizes = torch.tensor([len(visits) for visits in self.visits], device=world.device)
         order = torch.cat([world.pictures(index) for index in range(len(world.scenes))]).argsort()
@@ -281,7 +286,7 @@ class VisitScores:
         self.column = torch.cat([torch.arange(size, device=world.device) for size in sizes.tolist()])[order]
         self.row = (sizes**2).cumsum(0)[self.scene] - sizes[self.scene] * (sizes[self.scene] - self.column)
         self.table = torch.empty(int((sizes**2).sum()), device=world.device)
-        self.known = torch.zeros(len(order), dtype=torch.bool, device=world.device)
+        self.known = torch.zeros_like(self.table, dtype=torch.bool)
         self.whole: Tensor | None = None
         """What panoramas are compared by, of each view id, float32 ``[M, W]``; None = four views at a time are."""
         if isinstance(recogniser, ComparesPanoramas):
@@ -289,10 +294,12 @@ class VisitScores:
 
     def __call__(self, reference: Tensor, seen: Tensor) -> Tensor:
         """Return scores, float32, of visits by their first view ids in one scene, int64 ``[...]`` each, broadcast."""
-        asked = reference[~self.known[reference]]
-        if len(asked):
-            self._compute(asked.unique())
-        return self.table[self.row[reference] + self.column[seen]]
+        reference, seen = torch.broadcast_tensors(reference, seen)
+        entry = self.row[reference] + self.column[seen]
+        asked = ~self.known[entry]
+        if asked.any():
+            self._compute(reference[asked], seen[asked])
+        return self.table[entry]
 
     def of_visits(self, seen: Tensor, visit: Tensor) -> Tensor:
         """Compare visits ``[B, K]`` with earlier ones, ``[B, T, K]``, by view ids; return a score facing each view.
@@ -312,15 +319,31 @@ class VisitScores:
         return panorama_odds(self.whole[visits], self.whole[goal], self.whole[place])
 
     @torch.no_grad()
-    def _compute(self, reference: Tensor) -> None:
-        """Fill the rows of references, int64 ``[A]``."""
+    def _compute(self, reference: Tensor, seen: Tensor) -> None:
+        """Fill in what is asked for, by view ids, int64 ``[A]`` each."""
         for index in self.scene[reference].unique().tolist():
-            visits, rows = self.visits[index], reference[self.scene[reference] == index]
-            references = visits[self.column[rows]]
-            references = references[:, :1] if self.match == "front" else references
-            scores = in_blocks(self.recogniser, visits, references).T
-            self.table[self.row[rows][:, None] + torch.arange(len(visits), device=rows.device)] = scores
-        self.known[reference] = True
+            visits, inside = self.visits[index], self.scene[reference] == index
+            wanted, shown = reference[inside], seen[inside]
+            if self.looks == 1:
+                wanted = wanted.unique()
+                entry = self.row[wanted][:, None] + torch.arange(len(visits), device=wanted.device)
+                scores = in_blocks(self.recogniser, visits, self._references(visits, wanted)).T
+            else:
+                entry = self.row[wanted] + self.column[shown]
+                pairs = zip(shown.split(PAIRS), wanted.split(PAIRS), strict=True)
+                scores = torch.cat(
+                    [
+                        self.recogniser.scores(visits[self.column[one], None], self._references(visits, other)[:, None])
+                        for one, other in pairs
+                    ]
+                ).view(-1)
+            self.table[entry] = scores
+            self.known[entry] = True
+
+    def _references(self, visits: Tensor, wanted: Tensor) -> Tensor:
+        """Return the described visits of one scene that are references, by view ids, ``[A]`` to ``[A, V, F]``."""
+        references = visits[self.column[wanted]]
+        return references[:, :1] if self.match == "front" else references
 
 
 def described_visits(recogniser: Recogniser, world: World, index: int) -> Tensor:
