@@ -266,9 +266,9 @@ PAIRS = 256
 class VisitScores:
     """The scores between every two visits of each scene of a world.
 
-    A visit is named by its first view id, ``look * N + state``: the other three follow from it. Scores are computed when
-    they are first asked for: in a world of one look all of a reference, in one that changes, where a visit hardly ever
-    returns, no others.
+    A visit is named by its first view id, ``look * N + state``: the other three follow from it. Scores are computed
+    when they are first asked for: in a world of one look all of a reference, in one that changes, where a visit hardly
+    ever returns, no others.
 
     Args:
         recogniser: compares them.
