@@ -83,6 +83,7 @@ def main(path: str, walks_by: str, episodes: int, max_steps: int, seed: int) -> 
     views = np.stack([cut(panoramas[i // turns], yaw, *VIEW) for i, yaw in enumerate(converted.yaws.flat)])
     navigator = dirl.Navigator.load("general", turns=turns)
     navigator.encoder = Remembered(navigator.encoder)
+    navigator.points = navigator.points and walks_by != "learned"
     if walks_by == "sweep":
         agent.SAVED = 0.0  # what looks like the goal is worth no step
     rng = np.random.default_rng(seed)
@@ -93,8 +94,6 @@ def main(path: str, walks_by: str, episodes: int, max_steps: int, seed: int) -> 
     ends, lengths = Counter[str](), []
     for shown, wanted, first in zip(tqdm(photos, desc="walks", disable=None), goal, start, strict=True):
         navigator.reset(shown)
-        if walks_by == "learned":
-            navigator._photo = None  # as where XFeat is not installed
         stopped, steps = walk(navigator, views, scene.graph, int(first), max_steps)
         there = stopped is not None and bool(stopped == wanted)
         ends["arrived" if there else "lost" if stopped is None else "false stop"] += 1

@@ -372,7 +372,7 @@ from dirl.perception.backbones import EncoderError, ViewEncoder, encode_all, loa
 from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, toward
 from dirl.perception.matching import Matcher
 from dirl.perception.recognition.diagnostics import inspect_scene
-from dirl.perception.recognition.recogniser import chosen_stop
+from dirl.perception.recognition.recogniser import build_recogniser, stop_by
 from dirl.reporting import draw_contact_sheet, draw_scene_map
 from dirl.scenes import Scene, SceneError, load_scenes, write_dump
 from dirl.scenes.io.files import check_choice
@@ -613,7 +613,8 @@ def inspect(options: InspectOptions) -> None:
     """Look at a scene and check it."""
     folder = None if options.out is None else new_file(options.out, ending="")
     scene = one_scene(options.scene, options.source)
-    stop = chosen_stop(options.recogniser, options.threshold, options.match)
+    recogniser = build_recogniser(group_options("recogniser", options.recogniser) or {})
+    stop = stop_by(recogniser, options.threshold, options.match)
     found = inspect_scene(scene, stop)
     print(f"| {scene.name} | |\n|---|---|")
     for key, text in found.facts.items():

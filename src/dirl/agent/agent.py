@@ -274,7 +274,8 @@ class Localising(Remembering):
         alike = self.remember(now)
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
-        if self.known is None and (place := now.place_odds()) is not None:
+        alone = self.known is not None or self.memory.exact  # views that return bit for bit tell the place better
+        if not alone and (place := now.place_odds()) is not None:
             # The recogniser tells the heading, and the network that locates the goal which place this is.
             shows = odds.isfinite()
             odds = torch.where(shows, odds.log_softmax(1) + place[:, None], -math.inf)

@@ -17,7 +17,6 @@ from dirl.perception.recognition.recogniser import (
     FRONT_THRESHOLD,
     ComparesPanoramas,
     Recogniser,
-    is_exact,
     ncc,
     panorama_odds,
 )
@@ -288,14 +287,9 @@ class Views:
         return self._located if earlier is None else self._locate(earlier)
 
     def place_odds(self) -> Tensor | None:
-        """Return the log odds that the agents are at their goals' places; only fine patches tell them well.
-
-        Where views return bit for bit, correlation tells them better.
-        """
+        """Return the log odds that the agents are at their goals' places; only fine patches tell them well."""
         fine = self.features.shape[-1] > self.goal.policy.table.inputs
-        if not fine or self._located is None or is_exact(self.goal.recogniser):
-            return None
-        return here_odds(self._located)
+        return here_odds(self._located) if fine and self._located is not None else None
 
     @cached_property
     def _located(self) -> Tensor | None:

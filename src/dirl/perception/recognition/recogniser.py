@@ -15,7 +15,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.config.components import Options, make, tried
-from dirl.config.files import group_options
 from dirl.config.schemas import ConfigError, Match
 from dirl.scenes.world import World
 
@@ -180,11 +179,6 @@ class NCC(nn.Module):
         return correlation if self.returned is None else torch.where(correlation > self.returned, CERTAIN, -CERTAIN)
 
 
-def is_exact(recogniser: Recogniser) -> bool:
-    """Return whether a recogniser takes views that return bit for bit for known, see `NCC`."""
-    return isinstance(recogniser, NCC) and recogniser.returned is not None
-
-
 def ncc(observation: Tensor, goal: Tensor) -> Tensor:
     """Return normalised cross-correlation of feature vectors, Pearson's coefficient (paper equation 13).
 
@@ -244,7 +238,7 @@ def set_memory_threshold(memory: nn.Module | None, recogniser: Recogniser) -> No
                 f"episodic_memory=localising weighs log odds, and {type(recogniser).__name__} has none: "
                 "add recogniser=learned"
             )
-        memory.exact = is_exact(recogniser)  # type: ignore[assignment]
+        memory.exact = isinstance(recogniser, NCC) and recogniser.returned is not None  # type: ignore[assignment]
     elif recogniser.thresholds is not None:
         memory.threshold = recogniser.thresholds.memory  # type: ignore[assignment]
 
@@ -416,8 +410,3 @@ def stop_by(recogniser: Recogniser, threshold: float, match: Match) -> TemplateS
     if recogniser.thresholds is not None:
         threshold = recogniser.thresholds.photo if match == "front" else recogniser.thresholds.views
     return TemplateStop(threshold, match, recogniser)
-
-
-def chosen_stop(choice: str, threshold: float, match: Match) -> TemplateStop:
-    """Make the stop by a recogniser that is named as in ``evaluate.py``: a choice of its group or a YAML file."""
-    return stop_by(build_recogniser(group_options("recogniser", choice) or {}), threshold, match)
