@@ -7,6 +7,7 @@ import torch
 from dirl import Navigator
 from dirl.config.schemas import ConfigError
 from dirl.models import LocalisingMemory
+from dirl.perception.backbones import load_encoder
 from dirl.perception.recognition import Learned
 from dirl.runs.checkpoints import PRETRAINED, load_checkpoint
 from dirl.scenes import load_scenes
@@ -65,6 +66,20 @@ def test_it_finds_a_photo_beside_whose_place_another_looks_alike():
     state = int(np.nonzero(scene.distances[scene.goals.index(goal)] == 3)[0][0])
     navigator.reset(scene.views[goal])
     assert walked(navigator, scene, state) == (goal, True)
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("fine", [True, False])
+def test_it_sees_the_same_by_an_encoder_that_was_loaded(fine):
+    """One without fine patches gives photos another score; the policy reads the others alone."""
+    views = np.stack(list(load_scenes("bathroom_02")[0].views)[:8])
+    seen = []
+    for encoder in (None, load_encoder("efficientnet_lite0", patches=True, fine_patches=fine)):
+        navigator = Navigator.load("general", encoder, episodic_memory="none")
+        navigator.reset(views[0])
+        seen.append(navigator.act(views[4:]).scores)
+    assert (seen[0].matching == seen[1].matching) == fine
+    torch.testing.assert_close(seen[0].probabilities, seen[1].probabilities)
 
 
 def walked(navigator, scene, state):

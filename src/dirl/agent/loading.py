@@ -18,7 +18,7 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy, check_extractor, load_weights, pixels_read, reads_patches, saved_statistics
 from dirl.perception.backbones import ViewEncoder, load_encoder
-from dirl.perception.backbones.patches import PATCH_SHAPE, are_fine, coarse
+from dirl.perception.backbones.patches import FINE, PATCH_SHAPE, coarse
 from dirl.perception.backbones.registry import BATCH, LITE, packaged_encoder
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.recognition.recogniser import build_recogniser, set_memory_threshold
@@ -52,7 +52,8 @@ def load_parts(
             "give a function of images: encoder=..."
         )
     patches, recognises = reads_patches(config), build_recogniser(config.recogniser, device, config.trust)
-    fine = patches and isinstance(recognises, Learned) and encoder == LITE  # photos are recognised by them
+    gives = f"{FINE[0]}x{FINE[1]}" in getattr(encoder, "patch_attributes", {}).get("extractor", "")
+    fine = patches and isinstance(recognises, Learned) and (gives or encoder == LITE)  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
     order = saved["views"]
@@ -100,42 +101,34 @@ def image_encoder(
 ) -> Encoder:
     """Return the given encoder, or load it by name or file; with ``patches`` their features follow the pooled ones.
 
-    With ``fine`` they are followed by those of fine patches.
+    With ``fine`` they are followed by those of fine patches. A function gives all that is needed by itself.
 
     Raises:
         NavigatorError: it is another extractor than the training's, unless ``extractor`` confirms it; or a function
             that nobody says the extractor of.
     """
-    if extractor is None and isinstance(encoder, ViewEncoder):
-        extractor = encoder.extractor
-    if extractor is not None:
-        _check_extractor(saved, extractor, origin)
-    if callable(encoder):
-        if extractor is None:
-            raise NavigatorError(
-                "say which extractor this function is with extractor=...; "
-                f"the checkpoint was trained with '{saved['extractor']}'"
-            )
-        return encoder
-    loaded = load_encoder(str(encoder), device, patches=patches, fine_patches=fine)
-    if extractor is None and not Path(encoder).is_file():
-        hint = f" (encoder={encoder}); if both names mean the same, confirm it with extractor=..."
-        _check_extractor(saved, loaded.extractor, origin, hint)
-    elif extractor is None and loaded.extractor != saved["extractor"]:
-        warnings.warn(
-            f"the weights in {encoder} are '{loaded.extractor}', and the checkpoint was trained with "
-            f"'{saved['extractor']}'; if they are the same, confirm it with extractor=...",
-            stacklevel=3,
+    named = isinstance(encoder, str | Path)
+    loaded = load_encoder(str(encoder), device, patches=patches, fine_patches=fine) if named else encoder
+    known = loaded.extractor if extractor is None and isinstance(loaded, ViewEncoder) else extractor
+    if known is None:
+        raise NavigatorError(
+            "say which extractor this function is with extractor=...; "
+            f"the checkpoint was trained with '{saved['extractor']}'"
         )
-    return partial(_in_batches, loaded)
-
-
-def _check_extractor(saved: Mapping[str, Any], extractor: str, origin: str, hint: str = "") -> None:
-    """Call `check_extractor` and raise its error as a `NavigatorError`."""
-    try:
-        check_extractor(saved, extractor, origin)
-    except ConfigError as error:
-        raise NavigatorError(f"{error}{hint}") from None
+    if extractor is None and named and Path(encoder).is_file():  # type: ignore[arg-type]
+        if known != saved["extractor"]:
+            warnings.warn(
+                f"the weights in {encoder} are '{known}', and the checkpoint was trained with "
+                f"'{saved['extractor']}'; if they are the same, confirm it with extractor=...",
+                stacklevel=3,
+            )
+    else:
+        try:
+            check_extractor(saved, known, origin)
+        except ConfigError as error:
+            hint = f" (encoder={encoder}); if both names mean the same, confirm it with extractor=..."
+            raise NavigatorError(f"{error}{hint if extractor is None and named else ''}") from None
+    return partial(_encoded, loaded, patches, fine) if isinstance(loaded, ViewEncoder) else loaded  # type: ignore[return-value]
 
 
 def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origin: str) -> nn.Module:
@@ -153,13 +146,14 @@ def rebuild(saved: dict[str, Any], config: TrainConfig, scene: str | None, origi
     return policy.requires_grad_(False)
 
 
-def _in_batches(encoder: ViewEncoder, images: Tensor) -> Tensor:
-    return torch.cat([_both(encoder, part) for part in images.split(BATCH)])
-
-
-def _both(encoder: ViewEncoder, images: Tensor) -> Tensor:
-    if encoder.forward_patches is None:
-        return encoder(images)
-    pooled, patches = encoder.forward_patches(images)
-    parts = [coarse(patches), patches] if are_fine(patches) else [patches]
-    return torch.cat([pooled, *(part.flatten(1).to(pooled) for part in parts)], 1)
+def _encoded(encoder: ViewEncoder, patches: bool, fine: bool, images: Tensor) -> Tensor:
+    """Return the features of images, followed by those of their patches and of their fine patches."""
+    rows = []
+    for batch in images.split(BATCH):
+        if encoder.forward_patches is None or not patches:
+            rows.append(encoder(batch))
+            continue
+        pooled, cells = encoder.forward_patches(batch)
+        parts = [coarse(cells), cells] if fine else [coarse(cells)]
+        rows.append(torch.cat([pooled, *(part.flatten(1).to(pooled) for part in parts)], 1))
+    return torch.cat(rows)
