@@ -59,7 +59,7 @@ class FeatureTable(nn.Module):
         self.refresh()
         self.width = self.table.shape[1]
         """The number of features of a view as the network reads it."""
-        self.register_load_state_dict_post_hook(_refresh)
+        self.register_load_state_dict_post_hook(FeatureTable.refresh)  # can be pickled with the module
 
     mean: Tensor
     std: Tensor
@@ -69,7 +69,7 @@ class FeatureTable(nn.Module):
     table: Tensor
     """float32 ``[N + 1 + room, width]``."""
 
-    def refresh(self) -> None:
+    def refresh(self, _: object = None) -> None:
         """Compute the table anew, with the mean, deviation and axes as they are now.
 
         Block by block: the table of hundreds of rooms takes gigabytes, and is held only once.
@@ -218,8 +218,3 @@ def whitening(features: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """
     mean, axes = principal_components(features[:: math.ceil(len(features) / SAMPLED)], count)
     return mean, torch.ones_like(mean), axes
-
-
-def _refresh(table: FeatureTable, _: object) -> None:
-    """Refresh a table as a hook that can be pickled with its module."""
-    table.refresh()

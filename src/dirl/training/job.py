@@ -18,7 +18,6 @@ from dirl.config.components import check_components, make, packages_to_trust
 from dirl.config.files import typed
 from dirl.config.folders import command
 from dirl.config.schemas import Device, Precision, Starts
-from dirl.envs import SurroundingViews
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess
 from dirl.models import ActorCritic, plain_weights
 from dirl.perception.recognition.recogniser import build_recogniser, stop_by
@@ -43,7 +42,7 @@ from dirl.training.build import (
     with_architecture,
 )
 from dirl.training.loops import TrainState
-from dirl.training.objectives import Losses, trained_parameters
+from dirl.training.objectives import trained_parameters
 from dirl.training.pairs import Demonstrations
 
 
@@ -156,25 +155,20 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
 
         live = open_live(run.config, world, observation)
         protocol = replace(protocol, live=live_protocol(run.config, live, world, observation))
-    state = begin(run, policy, losses, world, observation) if losses is not None and losses.on_rollouts else None
+    state = None
+    if losses is not None and losses.on_rollouts:
+        trained = trained_parameters(policy, losses)
+        optimiser = make("optimiser", run.config.optimiser, run.config.trust, params=trained)
+        env, meter = build_env(run.config, world, observation, policy), EpisodeMeter(len(world.goals))
+        state = TrainState(run.config, policy, losses, trained, optimiser, env, env.reset(), meter)
+    before_reinforcement = run.saved is None or "imitation" in run.saved
+    if state is not None and run.saved is not None and not before_reinforcement:
+        with restoring(run.folder):
+            state.load_state_dict(run.saved)
     for name, states in goals.left_out.items():
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
-    before_reinforcement = run.saved is None or "imitation" in run.saved
     return Components(world, policy, demos, protocol, state, before_reinforcement)
-
-
-def begin(run: Run, policy: ActorCritic, losses: Losses, world: World, observation: SurroundingViews) -> TrainState:
-    """Return the state of a reinforcement before its first update, or from the checkpoint that the run continues."""
-    trained = trained_parameters(policy, losses)
-    optimiser = make("optimiser", run.config.optimiser, run.config.trust, params=trained)
-    env = build_env(run.config, world, observation, policy)
-    meter = EpisodeMeter(len(world.goals))
-    state = TrainState(run.config, policy, losses, trained, optimiser, env, env.reset(), meter)
-    if run.saved is not None and "imitation" not in run.saved:
-        with restoring(run.folder):
-            state.load_state_dict(run.saved)
-    return state
 
 
 def run_stages(run: Run, components: Components, stages: Stages) -> Facts:
