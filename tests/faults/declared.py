@@ -33,7 +33,7 @@ from dirl.agent.mapping.frames import FrameMap, load_frames_map
 from dirl.perception.matching import Described
 from dirl.reporting.inspection import draw_sheet
 from dirl.runs.checkpoints import DIGITS, SEAL, load_checkpoint
-from dirl.scenes.io.files import read_tensors
+from dirl.scenes.io.files import read_weights
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.rooms import read_description
 from dirl.sources.tours import read_tour
@@ -198,7 +198,7 @@ CASES = {
     "36,000 headings": ("states.csv", many_headings, of_its_folder(read_photos)),
     "a sparse states.csv": ("states.csv", sparse, of_its_folder(read_photos)),
     "a sparse checkpoint": ("network.pt", sparse, of_its_folder(load_checkpoint)),
-    "weights that repeat a number": ("a.pt", weights, lambda file: read_tensors(file)["a"].half()),
+    "weights that repeat a number": ("a.pt", weights, read_weights),
     "a pipe for tour.json": tour("tour.json", os.mkfifo),
     "a pipe for a room": ("a.toml", os.mkfifo, read_description),
     "functions without end": tour("index.html", "scenes: {" + ":function(){:a=>{:function(" * 200_000),

@@ -7,17 +7,22 @@ import torch
 from commands import train_config
 from train import imitate, reinforce
 
+from dirl.config.components import make
+from dirl.evaluation.protocol import EpisodeMeter
 from dirl.models import plain_weights
+from dirl.runs.checkpoints import restoring
 from dirl.runs.folder import Run
 from dirl.training.build import (
     build_demonstrations,
+    build_env,
     build_losses,
     build_observation,
     build_protocol,
     build_world,
     learning_policy,
 )
-from dirl.training.job import begin
+from dirl.training.loops import TrainState
+from dirl.training.objectives import trained_parameters
 
 
 def make_parts(*options):
@@ -35,14 +40,21 @@ def make_parts(*options):
 
 def train_state(parts, saved=None):
     """The state before the first update, or as it was saved."""
-    run = SimpleNamespace(config=parts.config, saved=saved, folder="run")
-    return begin(run, parts.policy, parts.losses, parts.world, parts.observation)
+    config, policy, losses = parts.config, parts.policy, parts.losses
+    trained = trained_parameters(policy, losses)
+    optimiser = make("optimiser", config.optimiser, params=trained)
+    env, meter = build_env(config, parts.world, parts.observation, policy), EpisodeMeter(len(parts.world.goals))
+    state = TrainState(config, policy, losses, trained, optimiser, env, env.reset(), meter)
+    if saved is not None:
+        with restoring("run"):
+            state.load_state_dict(saved)
+    return state
 
 
 def train_in(folder, parts):
     """Imitate, reinforce and finish as the recipe does; the summary of the reinforcement."""
     run = Run(folder, parts.config)
-    state = begin(run, parts.policy, parts.losses, parts.world, parts.observation)
+    state = train_state(parts)
     run.begin(parts.world, parts.observation.order)
     if len(parts.demos):
         imitate([run], parts.policy, [parts.demos])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from dirl.perception.matching import SCALE, Described, Fit, Motion
-from dirl.scenes.io.files import read_tensors
+from dirl.scenes.io.files import read_weights
 
 COLUMNS = 40
 
@@ -130,8 +130,7 @@ class ColumnNet(nn.Module):
 def load_column_net() -> ColumnNet:
     """Load the network with the weights of the package."""
     net = ColumnNet()
-    stored = read_tensors(WEIGHTS)
-    net.load_state_dict({name: value.float() if value.is_floating_point() else value for name, value in stored.items()})
+    net.load_state_dict(read_weights(WEIGHTS))
     return net.eval()
 
 

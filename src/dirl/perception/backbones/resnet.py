@@ -6,6 +6,7 @@ Bit Goes Down: Revisiting the Quantization of Neural Networks" (Stock et al., IC
 """
 
 import copy
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from dirl.perception.backbones.encoder import resized
-from dirl.scenes.io.files import read_tensors
+from dirl.scenes.io.files import read_weights
 
 SIZE = (224, 224)
 """Height and width, in pixels, that views are resized to unless a caller says otherwise."""
@@ -138,30 +139,18 @@ def load_backbone(path: str | Path) -> ResNet50:
     Raises:
         ValueError: there is no such file, or it does not hold the parameters of a ResNet-50.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"{path}: there is no such file")
-    try:
-        stored = read_tensors(path)
-    except Exception as error:  # what unpickling a broken file raises can be anything
-        reason = str(error).split("\n")[0]
-        raise ValueError(f"{path}: not a file of weights that torch can load safely ({reason})") from error
-    return backbone_of(stored, str(path))
+    return backbone_of(read_weights(Path(path)), str(path))
 
 
-def backbone_of(stored: object, origin: str) -> ResNet50:
-    """Return the backbone with the weights of a state_dict, see `load_backbone`; errors name ``origin``.
-
-    Raises:
-        ValueError: the parameters are not those of a ResNet-50.
-    """
+def backbone_of(stored: Mapping[str, Tensor], origin: str) -> ResNet50:
+    """Return the backbone with the weights of a state_dict, see `load_backbone`; errors name ``origin``."""
     with torch.device("meta"):  # random weights would take most of the time
         backbone = ResNet50()
     counters = {name: torch.tensor(0) for name in backbone.state_dict() if name.endswith(".num_batches_tracked")}
+    given = {name: value for name, value in stored.items() if not is_ignored(name)}
     try:
-        given = {name: value.float() for name, value in stored.items() if not is_ignored(name)}  # type: ignore[attr-defined]
         backbone.load_state_dict(given | counters, assign=True)
-    except (AttributeError, RuntimeError) as error:  # torch names every parameter
+    except RuntimeError as error:  # torch names every parameter
         raise ValueError(f"{origin}: are no weights of a ResNet-50 ({' '.join(str(error).split())[:200]})") from None
     return backbone
 

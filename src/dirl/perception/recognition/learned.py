@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from dirl.perception.backbones.patches import FINE, PATCH_SHAPE, are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.recogniser import Thresholds
-from dirl.scenes.io.files import read_tensors
+from dirl.scenes.io.files import read_weights
 
 WEIGHTS = Path(__file__).parents[2] / "pretrained" / "general" / "recogniser.pt"
 """Weights of the agent `general`, for features and patches of EfficientNet-Lite0."""
@@ -87,7 +87,7 @@ class Learned(nn.Module):
     ) -> None:
         super().__init__()
         self.thresholds = Thresholds(views, photo, memory)
-        stored = {} if weights == "" else _read(Path(weights or WEIGHTS))
+        stored = {} if weights == "" else read_weights(Path(weights or WEIGHTS))
         width = len(stored.get("column.bias", range(width)))
         features = len(stored.get("mean", ()))
         self.register_buffer("mean", torch.zeros(features))
@@ -109,7 +109,7 @@ class Learned(nn.Module):
                 self.load_state_dict(stored)
             except (RuntimeError, TypeError, AttributeError) as error:
                 reason = " ".join(str(error).split())[:300]
-                raise ValueError(f"weights={weights}: are of another network: {reason}") from None
+                raise ValueError(f"{weights}: are weights of another network: {reason}") from None
             self.eval()
 
     mean: Tensor
@@ -295,20 +295,3 @@ def _parts(described: Tensor) -> tuple[Tensor, ...]:
     projected, whitened, *views = described[..., :WIDTH].split(sizes, -1)
     columns = (part.unflatten(-1, (COLUMNS, ROWS, -1)).flatten(-4, -3) for part in (projected, whitened))
     return *columns, *views
-
-
-def _read(file: Path) -> dict[str, Tensor]:
-    """Read weights.
-
-    Raises:
-        ValueError: the file cannot be read as weights.
-    """
-    if not file.is_file():
-        raise ValueError(f"weights={file}: there is no such file")
-    try:
-        stored = read_tensors(file)
-    except Exception as error:  # what unpickling a broken file raises can be anything
-        raise ValueError(f"weights={file}: torch cannot read it as weights ({error!r:.200})") from None
-    if not (isinstance(stored, dict) and all(isinstance(value, Tensor) for value in stored.values())):
-        raise ValueError(f"weights={file}: is no state_dict")
-    return {name: value.float() for name, value in stored.items()}

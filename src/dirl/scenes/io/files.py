@@ -19,9 +19,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO, get_type_hints
+from typing import TYPE_CHECKING, Any, BinaryIO, get_type_hints
 
 from dirl.scenes.errors import SceneError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 MOST = 64 * 2**20
 """Bytes that are read of a file. The longest table of a run has a row a step of imitation, 40 bytes each."""
@@ -76,9 +79,21 @@ def read_text(file: Path, most: int = MOST, *, encoding: str = "utf-8", errors: 
         raise ValueError(f"{file}: is not UTF-8 text ({error}); save it as UTF-8") from None
 
 
-def read_tensors(file: Path) -> Any:
-    """Return what ``torch.save`` wrote, see `unpack_tensors`; `read_bytes` says what else is raised."""
-    return unpack_tensors(read_bytes(file, MOST_WEIGHTS))
+def read_weights(file: Path) -> "dict[str, Tensor]":
+    """Return a state_dict that ``torch.save`` wrote, see `unpack_tensors`, its numbers as float32.
+
+    Raises:
+        ValueError: there is no such file, torch cannot read it, or it holds something else.
+    """
+    if not file.is_file():
+        raise ValueError(f"{file}: there is no such file")
+    try:
+        stored = unpack_tensors(read_bytes(file, MOST_WEIGHTS))
+        return {name: value.float() if value.is_floating_point() else value for name, value in stored.items()}
+    except AttributeError:
+        raise ValueError(f"{file}: is no state_dict") from None
+    except Exception as error:  # what unpickling a broken file raises can be anything
+        raise ValueError(f"{file}: torch cannot read it as weights ({error!r:.200})") from None
 
 
 def unpack_tensors(data: bytes) -> Any:
