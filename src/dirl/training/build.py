@@ -45,7 +45,7 @@ from dirl.perception.recognition.recogniser import (
     set_memory_threshold,
     stop_by,
 )
-from dirl.runs.checkpoints import ARCHITECTURE, Facts, State, load_checkpoint
+from dirl.runs.checkpoints import Facts, State
 from dirl.scenes import Scene, SceneError, load_scenes
 from dirl.scenes.catalogue import collection_folder
 from dirl.scenes.goals import ChosenGoals, choose_goals
@@ -392,8 +392,9 @@ def learning_policy(
 ) -> ActorCritic:
     """Return the policy for training; with ``network.cache=auto`` each distinct observation is embedded once.
 
-    It begins with the weights ``initial``, see `initial_weights`, or with some sampled with the seed; then it can learn
-    in the principal axes of the observations. ``features`` are those of another run in the same world, if there is one.
+    It begins with the weights ``initial``, those of another training, or with some sampled with the seed; then it can
+    learn in the principal axes of the observations. ``features`` are those of another run in the same world, if there
+    is one.
     """
     everywhere = world
     if held_out := build_goals(config, world.scenes).held_out:  # a policy that knows the world walks to all goals
@@ -441,35 +442,3 @@ def _seen_of_each(observation: SurroundingViews, *, front: bool) -> tuple[Tensor
     if observation.history or not complete or (fronts and bool((seen == len(every)).any())):
         return None, fronts
     return seen, fronts
-
-
-def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, State]:
-    """Return the configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
-
-    Raises:
-        ConfigError: an option of the architecture is given beside ``init``.
-        RunError: there is no such checkpoint, or it is damaged.
-    """
-    assert config.init is not None
-    texts = [text.lstrip("+") for text in overrides]
-    given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
-    if given:
-        raise ConfigError(f"init={config.init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
-    saved = load_checkpoint(config.init)
-    trained = read_config(saved["config"], config.init, trust=config.trust or [])
-    return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
-
-
-def initial_weights(config: TrainConfig, world: World, saved: State) -> Mapping[str, Tensor]:
-    """Return the weights that a training with ``init`` begins with, by name.
-
-    ``saved`` is the checkpoint that ``init`` names, or the one that the run itself resumes from.
-
-    Raises:
-        ConfigError: they were trained on the features of another extractor, or have heads for other scenes.
-    """
-    check_extractor(saved, world.scenes[0].extractor, f"init={config.init}")
-    unknown = sorted(set(world.names) - set(saved["scenes"]))
-    if unknown and not config.heads.get("shared"):
-        raise ConfigError(f"init={config.init}: has heads for the scenes {saved['scenes']}, none for {unknown[0]}")
-    return saved["network"]

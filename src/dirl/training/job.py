@@ -4,7 +4,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,16 +13,18 @@ from typing import Any
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from torch import Tensor
 
 from dirl.config.components import check_components, make, packages_to_trust
-from dirl.config.files import typed
+from dirl.config.files import read_config, typed
 from dirl.config.folders import command
-from dirl.config.schemas import Device, Precision, Starts
+from dirl.config.schemas import ConfigError, Device, Precision, Starts, TrainConfig
 from dirl.evaluation.protocol import EpisodeMeter, EvaluationProtocol, assess
 from dirl.models import ActorCritic, plain_weights
+from dirl.models.build import check_extractor
 from dirl.perception.recognition.recogniser import build_recogniser, stop_by
 from dirl.reporting import draw_learning_curve, draw_scene, run_title, summary_table
-from dirl.runs.checkpoints import Facts, RunError, State, is_finished, load_checkpoint, restoring
+from dirl.runs.checkpoints import ARCHITECTURE, Facts, RunError, State, is_finished, load_checkpoint, restoring
 from dirl.runs.exits import one_line_exits
 from dirl.runs.folder import Run, open_run, peak_memory_mb
 from dirl.scenes.io.files import read_text, write_json
@@ -37,9 +39,7 @@ from dirl.training.build import (
     build_protocol,
     build_world,
     describe,
-    initial_weights,
     learning_policy,
-    with_architecture,
 )
 from dirl.training.loops import TrainState
 from dirl.training.objectives import trained_parameters
@@ -117,6 +117,23 @@ def open_job(composed: DictConfig, folder: Path, overrides: Sequence[str]) -> tu
     return run, initial
 
 
+def with_architecture(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig, State]:
+    """Return the configuration with the architecture of the checkpoint that ``init`` names, and that checkpoint.
+
+    Raises:
+        ConfigError: an option of the architecture is given beside ``init``.
+        RunError: there is no such checkpoint, or it is damaged.
+    """
+    assert config.init is not None
+    texts = [text.lstrip("+") for text in overrides]
+    given = [text for text in texts if text.partition("=")[0].partition(".")[0] in ARCHITECTURE]
+    if given:
+        raise ConfigError(f"init={config.init}: its checkpoint decides the architecture; leave out {' '.join(given)}")
+    saved = load_checkpoint(config.init)
+    trained = read_config(saved["config"], config.init, trust=config.trust or [])
+    return replace(config, **{name: getattr(trained, name) for name in ARCHITECTURE}), saved
+
+
 def prepare_device(device: Device, precision: Precision = Precision.float32) -> None:
     """Choose kernels that add in a fixed order on a GPU: a seed decides as on the CPU.
 
@@ -169,6 +186,21 @@ def build_components(run: Run, initial: State | None = None, like: Components | 
         shown = ", ".join(map(str, states[:5])) + (", ..." if len(states) > 5 else "")
         print(f"{name}: {len(states)} states are no goals, because most states cannot reach them: {shown}")
     return Components(world, policy, demos, protocol, state, before_reinforcement)
+
+
+def initial_weights(config: TrainConfig, world: World, saved: State) -> Mapping[str, Tensor]:
+    """Return the weights that a training with ``init`` begins with, by name.
+
+    ``saved`` is the checkpoint that ``init`` names, or the one that the run itself resumes from.
+
+    Raises:
+        ConfigError: they were trained on the features of another extractor, or have heads for other scenes.
+    """
+    check_extractor(saved, world.scenes[0].extractor, f"init={config.init}")
+    unknown = sorted(set(world.names) - set(saved["scenes"]))
+    if unknown and not config.heads.get("shared"):
+        raise ConfigError(f"init={config.init}: has heads for the scenes {saved['scenes']}, none for {unknown[0]}")
+    return saved["network"]
 
 
 def run_stages(run: Run, components: Components, stages: Stages) -> Facts:
