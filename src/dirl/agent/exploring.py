@@ -22,6 +22,8 @@ QUARTERS = 4
 ANY, NEARLY = -1.0, 0.05
 """Least correlation after a quarter turn, and how much better any other turn may fit, where views change on the way."""
 
+OTHER_MEMORY = "graph: this map is for episodic_memory=localising; load the navigator with it"
+
 
 class Explorer:
     """A walk through a place, by a robot or a person, that makes a map of it. Made by `dirl.Navigator.explore`.
@@ -139,22 +141,26 @@ def map_to_walk_on(
     if isinstance(memory, LocalisingMemory):
         return ParticleMapper(memory, partial(compare, recogniser), known=known, turns=turns or VIEWS)
     if known is not None:
-        raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
+        raise NavigatorError(OTHER_MEMORY)
     return ImageGraph(None if recogniser.calibrated else threshold, turns=turns or VIEWS, recogniser=recogniser)
 
 
-def map_of(graph: object, extractor: str, recogniser: Recogniser) -> ImageGraph | PlaceMap:
-    """Return the map, or load it from its folder, for a navigator with this extractor and recogniser.
+def map_of(graph: object, extractor: str, recogniser: Recogniser, memory: object, turns: int) -> ImageGraph | PlaceMap:
+    """Return the map, or load it from its folder, for a navigator with this extractor, recogniser, memory and turns.
 
     Raises:
-        NavigatorError: there is no such map, or it was made with another extractor or recogniser.
+        NavigatorError: there is no such map, or it is for another navigator.
     """
-    if isinstance(graph, ImageGraph):
+    if not isinstance(graph, ImageGraph | PlaceMap):
+        if not isinstance(graph, str | Path):
+            raise NavigatorError(f"graph={graph!r}: expected a map, or the folder of a saved one")
+        graph = load_graph(graph, extractor=extractor, recogniser=recogniser)
+    elif isinstance(graph, ImageGraph):
         own, name = recogniser_name(graph.recogniser), recogniser_name(recogniser)
         if own != name:
             raise NavigatorError(f"graph: was made with another recogniser: '{own}', not '{name}'")
-    if isinstance(graph, ImageGraph | PlaceMap):
-        return graph
-    if not isinstance(graph, str | Path):
-        raise NavigatorError(f"graph={graph!r}: expected a map, or the folder of a saved one")
-    return load_graph(graph, extractor=extractor, recogniser=recogniser)
+    if isinstance(graph, PlaceMap) and not isinstance(memory, LocalisingMemory):
+        raise NavigatorError(OTHER_MEMORY)
+    if isinstance(graph, PlaceMap) and graph.turns != turns:
+        raise NavigatorError(f"graph: was made with turns={graph.turns}, this navigator has {turns}")
+    return graph

@@ -2,12 +2,11 @@
 
 import math
 import sys
-from collections.abc import Callable, Collection
-from functools import wraps
+from collections.abc import Collection
 from importlib.util import find_spec
 from pathlib import Path
 from threading import RLock
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,26 +40,9 @@ from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
 
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
-
-
 UNRECOGNISED = 20
 """Steps in a row in which neither the goal nor a place seen before is recognised, until a `Navigator` says so. In walks
 of ``general`` through the built-in bathroom there are at most 5."""
-
-
-def one_at_a_time(
-    method: Callable[Concatenate["Navigator", Given], Result],
-) -> Callable[Concatenate["Navigator", Given], Result]:
-    """Make the calls of a navigator's method wait for each other."""
-
-    @wraps(method)
-    def locked(self: "Navigator", /, *args: Given.args, **options: Given.kwargs) -> Result:
-        with self._lock:
-            return method(self, *args, **options)
-
-    return locked
 
 
 class Navigator:
@@ -182,8 +164,6 @@ class Navigator:
         """The number of features of a view, D, as the encoder gives them."""
         return self.policy.table.inputs
 
-    @torch.no_grad()
-    @one_at_a_time
     def reset(
         self,
         goal_images: Images,
@@ -208,32 +188,27 @@ class Navigator:
             NavigatorError: images of another shape or type, an encoder whose features do not fit the checkpoint, a
                 map that cannot be used, or ``last_steps`` that are no count.
         """
-        check_last_steps(last_steps)  # also where no map is given
-        pixels, count, _ = checked_images(goal_images, "goal_images", sequential=self.sequential)
-        views = self._encode(pixels, count)
-        if self.sequential:
-            views = views.expand(-1, VIEWS, -1)
-        elif views.shape[1] == 1:  # what is not known of a goal is zeros
-            views = F.pad(views, (0, 0, 0, VIEWS - 1))
-        goal, known, guide = Goal(self.policy, self.recogniser, views), None, None
-        if graph is not None:
-            self._check_alone(len(views))
-            place_map = map_of(graph, self.facts["extractor"], self.recogniser)
-            if isinstance(place_map, ImageGraph):
-                guide = GraphGuide(place_map, goal.described[0], last_steps)
-            elif isinstance(self.memory, LocalisingMemory):
-                known = place_map
-                if known.turns != self.turns:
-                    raise NavigatorError(f"graph: was made with turns={known.turns}, this navigator has {self.turns}")
-            else:
-                raise NavigatorError("graph: this map is for episodic_memory=localising; load the navigator with it")
-        self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
-        panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
-        self._photo = PhotoPoints(pixels[0].cpu().numpy()) if self.points and panoramas and len(pixels) == 1 else None
-        self._goal, self._seen, self._strange = goal, None, 0
+        with self._lock, torch.no_grad():
+            check_last_steps(last_steps)  # also where no map is given
+            pixels, count, _ = checked_images(goal_images, "goal_images", sequential=self.sequential)
+            views = self._encode(pixels, count)
+            if self.sequential:
+                views = views.expand(-1, VIEWS, -1)
+            elif views.shape[1] == 1:  # what is not known of a goal is zeros
+                views = F.pad(views, (0, 0, 0, VIEWS - 1))
+            goal, known, guide = Goal(self.policy, self.recogniser, views), None, None
+            if graph is not None:
+                self._check_alone(len(views))
+                walked = map_of(graph, self.facts["extractor"], self.recogniser, self.memory, self.turns)
+                if isinstance(walked, PlaceMap):
+                    known = walked
+                else:
+                    guide = GraphGuide(walked, goal.described[0], last_steps)
+            self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
+            self._goal, self._photo, self._seen, self._strange = goal, None, None, 0
+            if self.points and len(pixels) == 1 and self.turns > VIEWS and isinstance(self.memory, LocalisingMemory):
+                self._photo = PhotoPoints(pixels[0].cpu().numpy())
 
-    @torch.no_grad()
-    @one_at_a_time
     def act(
         self,
         images: Images,
@@ -256,39 +231,40 @@ class Navigator:
         Raises:
             NavigatorError: `reset` was not called, or images have another shape, type or number than the goals require.
         """
-        if self._goal is None:
-            raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
-        pixels, count, batched = checked_images(images, "images", sequential=self.sequential, views=self._headings)
-        views = self._encode(pixels, count)
-        before = self._seen
-        check_agents(views, len(self._goal.features), None if before is None else before.features)
-        moves = checked_moves(possible, views, batched=batched)
-        if self.agent.guide is not None:
-            self._check_alone(len(views))
-        known = getattr(self.agent, "known", None)
-        if known is not None and known.seen.shape[2] != views.shape[1]:
-            raise NavigatorError(
-                f"images: {views.shape[1]} views, and the map is of {known.seen.shape[2]}; give as many"
-            )
-        if self.sequential:
-            views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
-        state = () if before is None else before.state
-        now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
-        if self._photo is not None and count > VIEWS:
-            like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
-            now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu()).to(self.device)
-        stop = self.agent.arrive(now)
-        action, logits = self.agent.act(now, generator, greedy=not sample)
-        self._seen = now
-        self._notice_strangeness(stop)
-        if isinstance(self.agent, Localising) and self.agent.seen is not None:
-            matching = (now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0] + now.points)[:, 0]
-        else:
-            matching = now.matching
-        probabilities = logits.softmax(-1)
-        if batched:
-            return Decision(action, stop, Scores(matching, probabilities))
-        return Decision(Action(int(action)), bool(stop), Scores(float(matching), probabilities[0]))
+        with self._lock, torch.no_grad():
+            if self._goal is None:
+                raise NavigatorError("the navigator has no goal yet; call reset(goal_images) first")
+            pixels, count, batched = checked_images(images, "images", sequential=self.sequential, views=self._headings)
+            views = self._encode(pixels, count)
+            before = self._seen
+            check_agents(views, len(self._goal.features), None if before is None else before.features)
+            moves = checked_moves(possible, views, batched=batched)
+            if self.agent.guide is not None:
+                self._check_alone(len(views))
+            known = getattr(self.agent, "known", None)
+            if known is not None and known.seen.shape[2] != views.shape[1]:
+                raise NavigatorError(
+                    f"images: {views.shape[1]} views, and the map is of {known.seen.shape[2]}; give as many"
+                )
+            if self.sequential:
+                views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
+            state = () if before is None else before.state
+            now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
+            if self._photo is not None and count > VIEWS:
+                like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
+                now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu()).to(self.device)
+            stop = self.agent.arrive(now)
+            action, logits = self.agent.act(now, generator, greedy=not sample)
+            self._seen = now
+            self._notice_strangeness(stop)
+            if isinstance(self.agent, Localising) and self.agent.seen is not None:
+                matching = (now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0] + now.points)[:, 0]
+            else:
+                matching = now.matching
+            probabilities = logits.softmax(-1)
+            if batched:
+                return Decision(action, stop, Scores(matching, probabilities))
+            return Decision(Action(int(action)), bool(stop), Scores(float(matching), probabilities[0]))
 
     def _notice_strangeness(self, stop: Tensor) -> None:
         """Say once in a walk, in one line, that nothing was recognised for long; only a memory can tell."""
@@ -332,16 +308,17 @@ class Navigator:
         place_map = map_to_walk_on(graph, turns, self.memory, self.recogniser, self.threshold)
         return Explorer(self._visit, place_map, self.facts["extractor"], self.recogniser)
 
-    @torch.no_grad()
-    @one_at_a_time
     def _visit(self, images: Images) -> Tensor:
         """Return the described views of one walker, float32 ``[4, F]``, or in a panorama those of all headings."""
-        headings = self._headings if isinstance(self.memory, LocalisingMemory) else VIEWS
-        pixels, count, batched = checked_images(images, "images", sequential=self.sequential, views=headings)
-        views = self._encode(pixels, count)
-        if batched:
-            raise NavigatorError("images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch")
-        return self.policy.describe(views[0], self.recogniser)
+        with self._lock, torch.no_grad():
+            headings = self._headings if isinstance(self.memory, LocalisingMemory) else VIEWS
+            pixels, count, batched = checked_images(images, "images", sequential=self.sequential, views=headings)
+            views = self._encode(pixels, count)
+            if batched:
+                raise NavigatorError(
+                    "images: a walk is that of one walker; expected the four views [4, H, W, 3], no batch"
+                )
+            return self.policy.describe(views[0], self.recogniser)
 
     def _check_alone(self, agents: int) -> None:
         """Raise `NavigatorError` unless a map can lead the agents."""
