@@ -117,7 +117,8 @@ def browser():
         pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     playwright = importlib.import_module("playwright.sync_api")
     quiet = ["disable-quic", "no-first-run", "disable-background-networking", "disable-component-update"]
-    arguments = ["--no-sandbox", "--disable-gpu", "--disable-sync", *(f"--{name}" for name in quiet)]
+    allowed = "--allow-file-access-from-files"  # what a test lays out within a page of the site it may measure
+    arguments = ["--no-sandbox", "--disable-gpu", "--disable-sync", allowed, *(f"--{name}" for name in quiet)]
     with playwright.sync_playwright() as started:
         launched = started.chromium.launch(executable_path=program, args=arguments)
         yield launched
