@@ -6,6 +6,7 @@ import torch
 
 from dirl import Navigator
 from dirl.config.schemas import ConfigError
+from dirl.evaluation.live_episodes import Remembered
 from dirl.models import LocalisingMemory
 from dirl.perception.backbones import load_encoder
 from dirl.perception.recognition import Learned
@@ -42,11 +43,17 @@ def test_its_evaluation_needs_a_room():
         load_trained(load_checkpoint("general"), "general")
 
 
-@pytest.mark.usefixtures("elsewhere")
-def test_it_finds_photos_in_a_room_it_was_not_trained_in_and_needs_no_option():
+@pytest.fixture(scope="module")
+def navigator():
+    """It; no view is encoded twice."""
+    loaded = Navigator.load("general")
+    loaded.encoder = Remembered(loaded.encoder)
+    return loaded
+
+
+def test_it_finds_photos_in_a_room_it_was_not_trained_in_and_needs_no_option(navigator):
     """From up to twelve actions away in the built-in bathroom, on raw images; with its own encoder and memory."""
     scene = load_scenes("bathroom_02")[0]
-    navigator = Navigator.load("general")
     assert isinstance(navigator.recogniser, Learned)
     assert isinstance(navigator.memory, LocalisingMemory)
     for goal in range(8, len(scene), 32):
@@ -57,11 +64,9 @@ def test_it_finds_photos_in_a_room_it_was_not_trained_in_and_needs_no_option():
         assert walked(navigator, scene, state) == (goal, True)
 
 
-@pytest.mark.usefixtures("elsewhere")
-def test_it_finds_a_photo_beside_whose_place_another_looks_alike():
+def test_it_finds_a_photo_beside_whose_place_another_looks_alike(navigator):
     """From three steps away in the built-in bathroom; by views of 400 pixels across it stopped half a metre aside."""
     scene = load_scenes("bathroom_02")[0]
-    navigator = Navigator.load("general")
     goal = 26
     state = int(np.nonzero(scene.distances[scene.goals.index(goal)] == 3)[0][0])
     navigator.reset(scene.views[goal])

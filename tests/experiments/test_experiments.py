@@ -22,7 +22,8 @@ from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import make_world, write_dump
 from dirl.training.build import load_trained
 
-SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.fraction="))]
+SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.", "reinforcement.frames"))]
+SMALL += ["imitation.max_steps=5", "reinforcement.frames_per_scene=150"]
 
 
 def summaries(folder):
@@ -34,7 +35,7 @@ def summaries(folder):
 def grid(tmp_path_factory):
     """A folder with the runs of a small grid: every kind of system, and the expert's share."""
     folder = tmp_path_factory.mktemp("grid")
-    options = [f"scene={room_file(folder)}", *SMALL, "reinforcement.frames_per_scene=300"]
+    options = [f"scene={room_file(folder)}", *SMALL]
     for given in (["table2", "system=random,il,td_drl,dirl"], ["fig8", "imitation={fraction:0.0},{fraction:0.5}"]):
         done(folder, "train", "-m", f"experiment={given[0]}", *options, given[1], "seed=0,1")
     return folder

@@ -67,8 +67,10 @@ def test_the_losses_of_an_update_are_the_packages(parts, room):
         torch.testing.assert_close(value, expected[f"loss_{name}"], rtol=1e-4, atol=1e-6)
 
 
-def test_it_learns_what_the_package_learns(tmp_path):
-    frames, options = 24_000, ["scene=bathroom_02", "seed=0", "evaluation.times=0"]
+def test_it_learns_what_the_package_learns(tmp_path, monkeypatch):
+    monkeypatch.setattr(one_page, "WIDTH", 128)
+    frames, options = 30_000, ["scene=bathroom_02", "seed=0", "evaluation.times=0"]
+    options += ["encoder.width=128", "heads.width=128"]
     package = make_parts(*options, f"reinforcement.frames_per_scene={frames}")
     train_in(tmp_path / "run", package)
     expected = metrics(package.protocol.run(package.policy))

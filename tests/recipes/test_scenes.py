@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from closet import closet
 from commands import run_recipe
+from networks import coarse_networks
 from PIL import Image
 from refusals import refused
 from rooms import grid_scene
@@ -21,8 +22,9 @@ from dirl.scenes.views import encode
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """Relative names are in the test's own folder."""
+    """Relative names are in the test's own folder; networks read coarse views."""
     monkeypatch.chdir(tmp_path)
+    coarse_networks(monkeypatch)
     return tmp_path
 
 

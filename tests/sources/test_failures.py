@@ -20,10 +20,14 @@ def process_of(name):
 
 MORTAL = """
 import os, signal
+from types import SimpleNamespace
 
+from networks import coarse_networks
 from test_failures import process_of
 
 from dirl.sources.vizdoom import VizDoom
+
+coarse_networks(SimpleNamespace(setattr=setattr))
 
 
 class Mortal(VizDoom):
@@ -42,10 +46,10 @@ class Mortal(VizDoom):
         return super().look(heading)
 """
 
-DUMP = ["simulator", "simulator=doom.yaml", "step=2", "places=6"]
+DUMP = ["simulator", "simulator=doom.yaml", "step=2", "places=3"]
 
-TRAINING = "scene=doom.h5 goals=every:8 env=live env.simulator=doom.yaml env.views=2000 network.components=8"
-TRAINING += " encoder.width=8 heads.width=8 imitation.max_steps=4 reinforcement.agents_per_scene=2"
+TRAINING = "scene=doom.h5 goals=every:6 env=live env.simulator=doom.yaml env.views=2000 network.components=8"
+TRAINING += " encoder.width=8 heads.width=8 imitation.max_steps=1 reinforcement.agents_per_scene=2"
 TRAINING += " reinforcement.frames_per_scene=20 evaluation.times=0 evaluation.live_episodes=1 evaluation.max_steps=2"
 TRAINING += " checkpoint.every_seconds=0 env.turn_error=5"  # so that every view is a new one
 
