@@ -254,7 +254,8 @@ class AgentBatch:
         """Return the policy's logits; where agents see arrows, those of blocked moves are `NEVER`."""
         assert self.known.decide is not None
         logits = self.known.decide(self.episode, self.ahead, self.view_ids, self.shown)
-        return logits if self.arrows is None else logits.masked_fill(~self.arrows[:, 0], NEVER)
+        possible = self.known.possible
+        return logits if possible is None else logits.masked_fill(~possible[self.ahead % len(possible)], NEVER)
 
     def facing(self, chosen: Tensor) -> Tensor:
         """Return the chosen agents' logits, facing each view; zero for others."""

@@ -59,7 +59,7 @@ def start(text: str | None, schema: type | Mapping[str, type] | None = None) -> 
             check_choice(f"command '{command}'", command, schema)
             schema = schema[command]
             text = schema.__doc__ or ""
-        if schema is None:
+        if schema is None and any(argument.startswith("-") for argument in arguments):
             parsing.check_flags(arguments)
         if shows:
             help.show(text, schema, arguments)
