@@ -308,18 +308,18 @@ def test_every_option_has_a_meaning(site):
     assert [name for name, meaning in options.items() if not meaning.strip("<p>/ \n")] == []
 
 
-LAID_OUT = """pages => Promise.all(pages.map(page => new Promise(done => {
+LAID_OUT = """pages => Promise.all(pages.map(async page => {
   const frame = document.createElement("iframe");
   frame.style = "position: absolute; top: -2000px; border: 0; width: 1280px; height: 800px";
-  frame.onload = () => {
-    const inside = frame.contentDocument, title = inside.querySelector("h1").innerText;
-    const height = inside.documentElement.scrollHeight;
-    frame.style.width = "390px";
-    done([page, title, height, inside.documentElement.scrollWidth]);
-  };
+  const loaded = new Promise(done => frame.onload = done);
   frame.src = page;
   document.body.append(frame);
-})))"""
+  await loaded;
+  const inside = frame.contentDocument, title = inside.querySelector("h1").innerText;
+  const height = inside.documentElement.scrollHeight;
+  frame.style.width = "390px";
+  return [page, title, height, inside.documentElement.scrollWidth];
+}))"""
 """Each page beside the others, out of sight: painted one after the other they took three times as long."""
 
 
