@@ -28,7 +28,7 @@ TINY += ["evaluation.times=2", "evaluation.max_steps=50"]
 SAVED = "checkpoint.every_seconds=0"
 """A checkpoint after every update, which takes a quarter of such a run: for those that are killed."""
 
-SHORT = [*TINY, "imitation.max_steps=10", "reinforcement.frames_per_scene=240", SAVED]
+SHORT = [*TINY, "imitation.max_steps=10", SAVED]
 """A run that is made hundreds of times, to be killed and spoilt."""
 
 
