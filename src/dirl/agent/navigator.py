@@ -204,10 +204,10 @@ class Navigator:
                     known = walked
                 else:
                     guide = GraphGuide(walked, goal.described[0], last_steps)
+            panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
+            photo = PhotoPoints(pixels[0].cpu().numpy()) if self.points and panoramas and len(pixels) == 1 else None
             self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
-            self._goal, self._photo, self._seen, self._strange = goal, None, None, 0
-            if self.points and len(pixels) == 1 and self.turns > VIEWS and isinstance(self.memory, LocalisingMemory):
-                self._photo = PhotoPoints(pixels[0].cpu().numpy())
+            self._goal, self._photo, self._seen, self._strange = goal, photo, None, 0
 
     def act(
         self,

@@ -259,9 +259,8 @@ class PhotoOdds(nn.Module):
 
         They are minus infinity where the view ahead shows nothing, as of a camera that is covered or dead.
         """
-        ahead = seen[..., 0, :].unflatten(-1, (*FINE, -1))[
-            ..., 1:-1, 1:-1, PATCH_PROJECTED:
-        ]  # at its edges patches differ
+        ahead = seen[..., 0, :].unflatten(-1, (*FINE, -1))[..., PATCH_PROJECTED:]
+        ahead = ahead[..., 1:-1, 1:-1, :]  # at its edges patches differ
         blank = ahead.mean((-3, -2)).norm(dim=-1) > BLANK
         around, photos = self._windows(seen), photos.unflatten(-1, (FINE[0] * FINE[1], -1))
         cosines = []

@@ -317,22 +317,17 @@ class VisitScores:
         """Fill in what is asked for, by view ids, int64 ``[A]`` each."""
         for index in self.scene[reference].unique().tolist():
             visits, inside = self.visits[index], self.scene[reference] == index
-            wanted, shown = reference[inside], seen[inside]
             if self.looks == 1:
-                wanted = wanted.unique()
+                wanted = reference[inside].unique()
                 entry = self.row[wanted][:, None] + torch.arange(len(visits), device=wanted.device)
-                scores = in_blocks(self.recogniser, visits, self._references(visits, wanted)).T
-            else:
+                self.table[entry] = in_blocks(self.recogniser, visits, self._references(visits, wanted)).T
+                self.known[entry] = True
+                continue
+            for wanted, shown in zip(reference[inside].split(PAIRS), seen[inside].split(PAIRS), strict=True):
                 entry = self.row[wanted] + self.column[shown]
-                pairs = zip(shown.split(PAIRS), wanted.split(PAIRS), strict=True)
-                scores = torch.cat(
-                    [
-                        self.recogniser.scores(visits[self.column[one], None], self._references(visits, other)[:, None])
-                        for one, other in pairs
-                    ]
-                ).view(-1)
-            self.table[entry] = scores
-            self.known[entry] = True
+                pairs = visits[self.column[shown], None], self._references(visits, wanted)[:, None]
+                self.table[entry] = self.recogniser.scores(*pairs).flatten()
+                self.known[entry] = True
 
     def _references(self, visits: Tensor, wanted: Tensor) -> Tensor:
         """Return the described visits of one scene that are references, by view ids, ``[A]`` to ``[A, V, F]``."""
