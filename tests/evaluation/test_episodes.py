@@ -22,7 +22,15 @@ from dirl.evaluation.experts import (
     merge_demonstrations,
     shown_states,
 )
-from dirl.evaluation.protocol import WINDOW, EpisodeMeter, EvaluationProtocol, metrics, report
+from dirl.evaluation.protocol import (
+    WINDOW,
+    EpisodeMeter,
+    EvaluationProtocol,
+    assess,
+    metrics,
+    other_goals,
+    report,
+)
 from dirl.models import PlanningMemory, initial_state, recurrent_keys
 from dirl.scenes import make_world
 
@@ -190,6 +198,23 @@ def test_a_sweep_ignores_the_goal_that_it_is_shown(world):
     _, (one, other) = protocol.trajectories(RandomPolicy(), starts)
     assert one[:3] == other[:3]
     assert protocol.run(RandomPolicy()).success.all()
+
+
+def test_where_a_memory_plans_an_agent_stands_beside_its_sweep_and_the_way_to_another_goal():
+    rooms = grid_scene(4, 3, name="room", goals=(0, 21, 44)), grid_scene(2, 2, name="small", goals=(1, 14))
+    world = make_world(rooms)
+    assert other_goals(world).tolist() == [1, 2, 0, 4, 3]
+    protocol = EvaluationProtocol(world, SurroundingViews(world), every_start(world), memory=PlanningMemory())
+    found = assess(expert(world), protocol)
+    assert list(found) == ["shortest_path", "random", "greedy", "sweep", "another_goal"]
+    assert found["greedy"]["spl"] == 1
+    assert found["sweep"] == report(protocol.run(RandomPolicy()), world)
+    assert found["another_goal"]["sr"] == 1  # it stops at its own goal, when it comes to it
+    assert found["another_goal"]["spl"] < found["sweep"]["spl"]
+    assert list(assess(expert(world), replace(protocol, memory=None)))[2:] == ["greedy", "sampled"]
+    lonely = make_world([rooms[0], grid_scene(2, 2, name="small", goals=(1,))])
+    lone = replace(protocol, world=lonely, observation=SurroundingViews(lonely), starts=every_start(lonely))
+    assert "another_goal" not in assess(expert(lonely), lone)
 
 
 def test_a_report_covers_each_scene_and_each_goal_by_its_number_in_the_scene(world):

@@ -28,7 +28,8 @@ STABLE_ATL = 20.0
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]:
     """Return the metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
 
-    Where the policy has a memory that plans, ``sweep`` is what the same memory finds without a policy: a control.
+    Where a memory plans there are two controls in the place of sampled actions: ``sweep``, the same memory without a
+    policy, and ``another_goal``, the agent that is led to another goal of its scene, and stops at its own.
 
     A policy without parameters has a single result: that of random actions or of the shortest path. Held-out goals are
     evaluated separately, under ``held_out``.
@@ -44,15 +45,23 @@ def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]
     }
     if isinstance(policy, RandomPolicy):
         return {**baselines, "greedy": baselines["random"], "sampled": baselines["random"]}
-    reports = {
-        **baselines,
-        "greedy": report(protocol.run(policy), world, protocol.metric),
-        "sampled": report(protocol.run(policy, greedy=False), world, protocol.metric),
-    }
+    reports = {**baselines, "greedy": report(protocol.run(policy), world, protocol.metric)}
     if isinstance(protocol.memory, PlanningMemory | LocalisingMemory) and protocol.maps is None:
+        alone = replace(protocol, walked=())
         # No policy, but the same memory, which knows as well whether a move was blocked, stop, panorama and arrows.
-        reports["sweep"] = report(replace(protocol, walked=()).run(RandomPolicy(policy)), world, protocol.metric)
+        reports["sweep"] = report(alone.run(RandomPolicy(policy)), world, protocol.metric)
+        if all(len(goals) > 1 for goals in world.goals_of):
+            misled = replace(alone, shown=other_goals(world))
+            reports["another_goal"] = report(misled.run(policy), world, protocol.metric)
+    else:
+        reports["sampled"] = report(protocol.run(policy, greedy=False), world, protocol.metric)
     return reports if protocol.live is None else reports | assess_live(policy, protocol.live)
+
+
+def other_goals(world: World) -> torch.Tensor:
+    """Return for each goal the one that is half of its scene's goals farther on, int64 ``[G]``."""
+    places = [torch.arange(goals.start, goals.stop).roll(-(len(goals) // 2)) for goals in world.goals_of]
+    return torch.cat(places).to(world.device)
 
 
 def assess_live(policy: nn.Module, live: Callable[..., Episodes]) -> dict[str, dict[str, float]]:

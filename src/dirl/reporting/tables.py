@@ -47,6 +47,7 @@ SECTIONS = {
     "shortest path": "shortest_path",
     "random": "random",
     "sweep, ignores the goal": "sweep",
+    "led to another goal": "another_goal",
     "greedy": "greedy",
     "sampled": "sampled",
     "live": "live",
