@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 from refusals import refused
 
-from dirl.sources.video import Recording, photo_field_of_view, read_photo
+from dirl.scenes.views import photo_field_of_view
+from dirl.sources.video import Recording, read_photo
 
 WIDE, HIGH = 64, 48
 
@@ -53,7 +54,8 @@ def test_photos_are_upright_and_tell_their_field_of_view(tmp_path):
     file = tmp_path / "photo.jpg"
     Image.new("RGB", (800, 600)).save(file, exif=exif)
     assert read_photo(file).shape == (480, 360, 3)
-    assert photo_field_of_view(file) == pytest.approx(49.6, abs=0.1)
+    # As wide from corner to corner as 26 mm on film, 79.5 degrees, of which an upright photo's width is three fifths.
+    assert photo_field_of_view(file) == pytest.approx(53.1, abs=0.1)
     Image.new("RGB", (800, 600)).save(file)
     assert photo_field_of_view(file) is None
 

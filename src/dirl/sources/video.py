@@ -14,12 +14,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image
+from PIL import Image
 
 from dirl.scenes.io.files import FREELY_UNPACKED
 from dirl.scenes.io.read import SECONDS, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
+from dirl.scenes.views import (
+    MAX_PHOTO_PIXELS,
+    ImageError,
+    natural_order,
+    open_image,
+    open_photo,
+    photo_field_of_view,
+)
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -151,18 +158,6 @@ def read_photo(file: str | Path) -> NDArray[np.uint8]:
         SceneError: it cannot be decoded, or has 16 bits.
     """
     return _small(file, open_photo(file))
-
-
-def photo_field_of_view(file: str | Path) -> float | None:
-    """Return degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none."""
-    try:
-        image = open_photo(file, load=False)
-        focal = float(image.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm) or 0)
-    except Exception:  # Pillow raises many kinds for damaged EXIF
-        return None
-    upright = image.height > image.width
-    across = image.getexif().get(ExifTags.Base.Orientation, 1) in (5, 6, 7, 8)  # turned when shown
-    return float(2 * np.degrees(np.arctan((12 if upright != across else 18) / focal))) if focal > 0 else None
 
 
 def _small(source: str | Path, image: Image.Image) -> NDArray[np.uint8]:
