@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import functools
 import gc
 import importlib
 import os
@@ -98,11 +99,17 @@ def dump(tmp_path, scene):
 
 @pytest.fixture(scope="session")
 def sift():
-    """The matcher of views that needs no learned weights."""
+    """The matcher of views that needs no learned weights; none is described twice."""
     pytest.importorskip("cv2")
+    import numpy as np
+
     from dirl.perception.matching import Matcher
 
-    return Matcher("sift")
+    matcher = Matcher("sift")
+    describe = matcher._describe
+    once = functools.cache(lambda pixels, shape: describe(np.frombuffer(pixels, np.uint8).reshape(shape)))
+    matcher._describe = lambda view: once(view.tobytes(), view.shape)
+    return matcher
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,7 @@ def walls(seed):
 
 
 @cache
-def look(x, z, heading, seed=0, size=(180, 320), fov=65.0):
+def look(x, z, heading, seed=0, size=(144, 256), fov=65.0):
     """What is seen at x along the hall and z across it, uint8 [*size, 3]; headings to the left, degrees, 0 along x."""
     height, width = size
     half = np.tan(np.radians(fov / 2))
@@ -33,19 +33,13 @@ def look(x, z, heading, seed=0, size=(180, 320), fov=65.0):
     right, below = np.meshgrid(across, down)
     cos, sin = np.cos(np.radians(heading)), np.sin(np.radians(heading))
     rays = np.stack([cos + right * sin, sin - right * cos, -below])
-    start, high = np.array([x, z, 1.4]), np.array([LENGTH, WIDTH, TALL])
-    image, nearest = np.zeros((height, width, 3), np.uint8), np.full((height, width), np.inf)
-    for axis in range(3):
-        for side in range(2):
-            with np.errstate(divide="ignore"):
-                far = (side * high[axis] - start[axis]) / rays[axis]
-            hit = (far > 1e-6) & (far < nearest)
-            at = start[:, None] + far[hit] * rays[:, hit]
-            one, two = (at[other] for other in range(3) if other != axis)
-            cells = [np.clip(part * PER_METRE, 0, 1039).astype(int) for part in (one, two)]
-            image[hit] = walls(seed)[2 * axis + side][cells[0], cells[1]]
-            nearest[hit] = far[hit]
-    return image
+    start, high = (np.array(point)[:, None, None] for point in ([x, z, 1.4], [LENGTH, WIDTH, TALL]))
+    with np.errstate(divide="ignore"):
+        far = np.abs(((rays > 0) * high - start) / rays)  # from within a hall a ray meets one of two opposite walls
+    axis = far.argmin(0)
+    x, z, y = np.clip((start + far.min(0) * rays) * PER_METRE, 0, 1039).astype(int)
+    side = np.take_along_axis(rays > 0, axis[None], 0)[0]
+    return walls(seed)[2 * axis + side, np.where(axis == 0, z, x), np.where(axis == 2, z, y)]
 
 
 def walk(steps, seed=0, **options):

