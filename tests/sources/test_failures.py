@@ -50,7 +50,7 @@ DUMP = ["simulator", "simulator=doom.yaml", "step=2", "places=2"]
 
 TRAINING = "scene=doom.h5 goals=every:6 env=live env.simulator=doom.yaml env.views=2000 network.components=8"
 TRAINING += " encoder.width=8 heads.width=8 imitation.max_steps=1 reinforcement.agents_per_scene=2"
-TRAINING += " reinforcement.frames_per_scene=10 evaluation.times=0 evaluation.live_episodes=1 evaluation.max_steps=2"
+TRAINING += " reinforcement.frames_per_scene=20 evaluation.times=0 evaluation.live_episodes=1 evaluation.max_steps=2"
 TRAINING += " checkpoint.every_seconds=0 env.turn_error=5"  # so that every view is a new one
 
 
@@ -71,7 +71,7 @@ def test_a_doom_that_is_killed_ends_a_training_in_one_line_and_it_is_resumed(doo
     doom(last=0)
     done(tmp_path, "scenes", *DUMP, "out=doom.h5", "encoder=efficientnet_lite0")
     dump = (tmp_path / "doom.h5").read_bytes()
-    doom(last=30)
+    doom(last=60)
     status, _, errors = run_recipe(tmp_path, "train", *TRAINING.split(), "hydra.run.dir=run")
     assert status == 1
     told = errors.splitlines()[-1]
@@ -80,7 +80,7 @@ def test_a_doom_that_is_killed_ends_a_training_in_one_line_and_it_is_resumed(doo
     assert told.endswith(" resume=run")
     assert "Traceback" not in errors
     doom(last=0)
-    assert "10 frames" in done(tmp_path, "train", "resume=run", "trust=[mortal]")
+    assert "20 frames" in done(tmp_path, "train", "resume=run", "trust=[mortal]")
     assert (tmp_path / "doom.h5").read_bytes() == dump
 
 
