@@ -8,8 +8,9 @@ from PIL import ExifTags, Image
 from refusals import refused
 from rooms import grid_scene
 
-from dirl.scenes.views import decode, photo_field_of_view
+from dirl.scenes.views import decode
 from dirl.sources.photos import draft_table, encoded_photos, read_photos
+from dirl.sources.video import photo_field_of_view
 
 HEADER = "image,location,heading,x,z,ahead"
 

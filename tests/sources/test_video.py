@@ -9,8 +9,7 @@ import pytest
 from PIL import Image
 from refusals import refused
 
-from dirl.scenes.views import photo_field_of_view
-from dirl.sources.video import Recording, read_photo
+from dirl.sources.video import Recording, photo_field_of_view, read_photo
 
 WIDE, HIGH = 64, 48
 

@@ -20,9 +20,6 @@ PUBLISHED_GOALS: Mapping[str, tuple[int, ...]] = {
 
 COLLECTION = "collection:"
 
-FILES = (".h5", ".hdf5")
-"""How names that are files end."""
-
 ROOM = re.compile(r"([a-z_]+)_(\d+)")
 """What the dumps of a collection are called: a kind and a seed, as ``bathroom_30000.h5``."""
 
@@ -56,7 +53,7 @@ class Rooms:
             names = list(PUBLISHED_GOALS)
         dumps = []
         for name in names:
-            if name.lower().endswith(FILES):
+            if _is_file(name):
                 dumps.append(Dump(Path(name), source=None if self.label == "rooms" else self.label))
                 continue
             path = self.folder / f"{name}.h5"
@@ -83,7 +80,7 @@ class Thor(Rooms):
 
     def load(self, names: list[str]) -> list[Scene]:
         """Return the scenes of these names or files; `SceneError` if there is no folder to look a name up."""
-        if not all(name.lower().endswith(FILES) for name in names):
+        if not all(map(_is_file, names)):
             if self.root is None:
                 raise SceneError("source=thor needs the folder of your dumps: source.root=/path/to/dumps")
             self.folder = Path(self.root)
@@ -119,8 +116,8 @@ def load_scenes(
     names = [scene] if isinstance(scene, str) else list(scene)
     if source is None or isinstance(source, Rooms):
         return (source or Rooms()).load(names)
-    own = [name for name in names if not name.lower().endswith(FILES)]
-    files = Rooms().load([name for name in names if name not in own]) if len(own) < len(names) else []
+    own = [name for name in names if not _is_file(name)]
+    files = Rooms().load([name for name in names if _is_file(name)]) if len(own) < len(names) else []
     return files + (_own_scenes(source, own) if own or not names else [])
 
 
@@ -142,6 +139,10 @@ def _own_scenes(source: SceneSource, names: list[str]) -> list[Scene]:
         problem = f"with {', '.join(others)}" if others else "without any"
         raise SceneError(f"source: {kind}.load({names}) must return a list of dirl.scenes.Scene, not one {problem}")
     return scenes
+
+
+def _is_file(name: str) -> bool:
+    return Path(name).suffix.lower() in (".h5", ".hdf5")
 
 
 def collection_folder(scene: str | Sequence[str]) -> Path | None:
