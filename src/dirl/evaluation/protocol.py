@@ -28,8 +28,8 @@ STABLE_ATL = 20.0
 def assess(policy: nn.Module, protocol: EvaluationProtocol) -> dict[str, Report]:
     """Return the metrics of a policy, greedy and sampled, and of shortest path and random, from the same starts.
 
-    Where a memory plans there are two controls in the place of sampled actions: ``sweep``, the same memory without a
-    policy, and ``another_goal``, the agent that is led to another goal of its scene, and stops at its own.
+    Where a memory plans without a map, two controls stand in the place of sampled actions: ``sweep``, the same memory
+    without a policy, and ``another_goal``, the agent that is led to another goal of its scene, and stops at its own.
 
     A policy without parameters has a single result: that of random actions or of the shortest path. Held-out goals are
     evaluated separately, under ``held_out``.
