@@ -54,9 +54,10 @@ def closet(old="", new=""):
 
 
 def dim_light(patch):
-    """Paint rooms coarsely and light them with a few rays, in a tenth of the time, where nobody looks at the light."""
+    """Paint rooms coarsely, light them with a few rays and look at them with one a pixel, where nobody looks closely."""
     bake, scenery = view.bake, view.Scenery
     patch.setattr(view, "bake", lambda painted, **_: bake(painted, direct=1, indirect=4, bounces=1))
+    patch.setattr(view, "SAMPLES", view.SAMPLES[:1])
     patch.setattr(view, "Scenery", lambda parts, materials, **_: scenery(parts, materials, edge=0.5, texture_limit=64))
 
 
