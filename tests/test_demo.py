@@ -39,7 +39,7 @@ def demo():
     return demo
 
 
-STATES = 60
+STATES = 40
 """Of the built-in room, which is cut off behind its first places."""
 
 

@@ -2,6 +2,7 @@
 
 import io
 import os
+import tempfile
 from fractions import Fraction
 
 import numpy as np
@@ -9,7 +10,39 @@ import pytest
 from PIL import Image
 from refusals import refused
 
+from dirl.sources import video
 from dirl.sources.video import Recording, photo_field_of_view, read_photo
+
+
+class Here:
+    """In place of `subprocess.Popen`: the program runs in this process, which has imported what it needs."""
+
+    def __init__(self, command, **_):
+        self.stdout, console = tempfile.TemporaryFile(), os.dup(1)
+        os.dup2(self.stdout.fileno(), 1)
+        try:
+            exec(command[-1], {})
+        finally:
+            os.dup2(console, 1)
+            os.close(console)
+        self.stdout.seek(0)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stdout.close()
+
+    def wait(self):
+        return 0
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Read recordings in the process of the test, where what reads them has no limits."""
+    monkeypatch.setattr(video.subprocess, "Popen", Here)
+    monkeypatch.setattr(video, "limit", lambda *_: None)
+
 
 WIDE, HIGH = 64, 48
 
@@ -85,6 +118,7 @@ def test_frames_of_a_video_are_chosen_by_their_time_stamps(tmp_path):
     assert abs(np.array(shades(Recording(deep))) - [0, 10, 20]).max() <= 2
 
 
+@pytest.mark.usefixtures("here")
 def test_a_video_that_is_cut_off_texts_and_lists_of_other_files_are_refused(tmp_path):
     file = make_video(tmp_path / "walk.mp4", [0.2 * number for number in range(20)])
     assert 3 <= len(list(Recording(file, every=1.0))) <= 5
@@ -103,6 +137,7 @@ def test_a_video_that_is_cut_off_texts_and_lists_of_other_files_are_refused(tmp_
     refused("is damaged after", lambda: list(Recording(file)))
 
 
+@pytest.mark.usefixtures("here")
 def test_a_video_of_a_camera_held_upright_is_turned(tmp_path):
     file = make_video(tmp_path / "walk.mp4", [0, 1])
     matrix = [0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30]  # of its track: a quarter to the right
@@ -165,6 +200,7 @@ def write_bag(path, stores, kind, encoding="rgb8", second=False):
     return path
 
 
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(("kind", "encoding"), [("bag", "rgb8"), ("sqlite", "bgr8"), ("mcap", "jpeg")])
 def test_bags_of_ros_1_and_2_are_read_with_their_odometry(tmp_path, store, kind, encoding):
     path = write_bag(tmp_path / ("walk.bag" if kind == "bag" else "walk"), store, kind, encoding)
@@ -176,6 +212,7 @@ def test_bags_of_ros_1_and_2_are_read_with_their_odometry(tmp_path, store, kind,
         assert np.allclose([frame.place for frame in frames], [(number, 2, 90) for number in (0, 2, 4, 6, 8)])
 
 
+@pytest.mark.usefixtures("here")
 def test_of_several_topics_one_is_chosen_and_what_is_no_bag_is_refused(tmp_path, store):
     path = write_bag(tmp_path / "walk", store, "mcap", second=True)
     refused("choose topic= of /camera, /rear", lambda: list(Recording(path)))

@@ -202,7 +202,7 @@ def write_frames(size: int, seconds: float, source: str, every: float, topic: st
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())[:120]
         kind = "bag" if is_bag else "video"
         answers.write(json.dumps(f"is no {kind} that is read ({type(error).__name__}: {reason})").encode() + b"\n")
-    answers.flush()
+    answers.close()
 
 
 def _video_frames(source: Path, every: float) -> Iterator[Frame]:
