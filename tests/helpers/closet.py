@@ -54,7 +54,7 @@ def closet(old="", new=""):
 
 
 def dim_light(patch):
-    """Paint rooms coarsely, light them with a few rays and look at them with one a pixel, where nobody looks closely."""
+    """Paint rooms coarsely, light them with a few rays and look with one a pixel, where nobody looks at the light."""
     bake, scenery = view.bake, view.Scenery
     patch.setattr(view, "bake", lambda painted, **_: bake(painted, direct=1, indirect=4, bounces=1))
     patch.setattr(view, "SAMPLES", view.SAMPLES[:1])

@@ -18,7 +18,8 @@ class Here:
     """In place of `subprocess.Popen`: the program runs in this process, which has imported what it needs."""
 
     def __init__(self, command, **_):
-        self.stdout, console = tempfile.TemporaryFile(), os.dup(1)
+        self.stdout = tempfile.TemporaryFile()  # noqa: SIM115
+        console = os.dup(1)
         os.dup2(self.stdout.fileno(), 1)
         try:
             exec(command[-1], {})

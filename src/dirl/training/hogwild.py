@@ -88,7 +88,9 @@ def share(policy: nn.Module, optimiser: Optimizer, frames: int) -> Shared:
 def _context() -> Any:
     """Return how workers start: as forks of a process that has only imported what they need, or as new interpreters."""
     methods = torch.multiprocessing.get_all_start_methods()
-    return torch.multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    context = torch.multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    context.set_forkserver_preload([__name__])
+    return context
 
 
 def _first_statistics(optimiser: Optimizer, parameter: Tensor) -> dict[str, Tensor]:
