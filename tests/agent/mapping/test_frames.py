@@ -139,6 +139,20 @@ def test_frames_are_linked_where_the_moves_between_them_lead_back(move, leads_ba
     assert (len(linked(Bricks(move), CORRIDOR)) > 0) == leads_back
 
 
+@pytest.mark.parametrize(("alike", "links"), [([3], []), ([1, 2, 3, 4, 5], [[2, 9], [3, 10], [4, 11]])])
+def test_frames_are_linked_where_those_around_them_agree_too(alike, links):
+    """Not where two walks look alike for a moment."""
+    bricks = Bricks(None)
+    bricks.period = 255
+    first = [10 * frame for frame in range(7)]
+    second = [sign if frame in alike else 100 + sign for frame, sign in enumerate(first)]
+    walks = [
+        [(np.full((4, 4, 3), sign, np.uint8), float(time), None) for time, sign in enumerate(signs)]
+        for signs in (first, second)
+    ]
+    assert linked(bricks, *walks).tolist() == links
+
+
 class Glances(Bricks):
     """The walker looks to the left and back by turns; ``move`` is by how many degrees."""
 
