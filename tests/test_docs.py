@@ -26,6 +26,7 @@ from networks import coarse_networks
 
 from dirl.config.folders import VARIABLE
 from dirl.reporting import pictures, trajectories
+from dirl.scenes.views import encode
 from dirl.training import job
 
 DOCS = ROOT / "docs"
@@ -167,9 +168,13 @@ def few_threads():
 
 @pytest.fixture(scope="module")
 def coarse(tmp_path_factory):
-    """Networks read coarse views, and what they make of them is not kept where other tests would find it."""
+    """Networks read coarse views, and what they make of them is not kept where other tests would find it.
+
+    Views are encoded quickly, not small.
+    """
     with pytest.MonkeyPatch.context() as patch:
         coarse_networks(patch)
+        patch.setattr(encode, "__defaults__", (85, 0))
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("coarse")))
         yield
 
