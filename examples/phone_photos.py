@@ -35,7 +35,8 @@ class Options:
 
     path: str = option("the folder of a tour")
     walks_by: str = option("agent | sweep, which ignores the goal | learned, without points | another goal", "agent")
-    episodes: int = option("walks", 16)
+    angle: bool = option("the navigator is told how wide a photo is, as EXIF does", True)
+    episodes: int = option("walks", 32)
     max_steps: int = option("of a walk", 200)
     seed: int = option("of photos and starts", 0)
 
@@ -71,7 +72,7 @@ def walk(
     return None, most
 
 
-def main(path: str, walks_by: str, episodes: int, max_steps: int, seed: int) -> None:
+def main(path: str, walks_by: str, angle: bool, episodes: int, max_steps: int, seed: int) -> None:
     """Walk, and print success and path length."""
     if walks_by not in ("agent", "sweep", "learned", "another goal"):
         raise ValueError(f"walks_by={walks_by}: choose from agent, sweep, learned, another goal")
@@ -93,14 +94,15 @@ def main(path: str, walks_by: str, episodes: int, max_steps: int, seed: int) -> 
         photos = [*photos[1:], photos[0]]
     ends, lengths = Counter[str](), []
     for shown, wanted, first in zip(tqdm(photos, desc="walks", disable=None), goal, start, strict=True):
-        navigator.reset(shown)
+        navigator.reset(shown, field_of_view=PHOTO[1] if angle else None)
         stopped, steps = walk(navigator, views, scene.graph, int(first), max_steps)
         there = stopped is not None and bool(stopped == wanted)
         ends["arrived" if there else "lost" if stopped is None else "false stop"] += 1
         shortest = scene.distances[first, wanted]
         lengths.append(shortest / max(steps, shortest) if there else 0.0)
-    rates = f"SR {ends['arrived'] / episodes:.3f}, SPL {np.mean(lengths):.3f}"
-    print(f"{scene.name}, {walks_by}: {rates}, false stops {ends['false stop'] / episodes:.3f} ({episodes} walks)")
+    false = ends["false stop"] / episodes
+    rates = f"SR {ends['arrived'] / episodes:.3f}, SPL {np.mean(lengths):.3f}, false stops {false:.3f}"
+    print(f"{scene.name}, {walks_by}, angle={angle}: {rates} ({episodes} walks)")
 
 
 if __name__ == "__main__":

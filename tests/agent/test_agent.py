@@ -3,16 +3,17 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import torch
 from policies import indifferent
 from rooms import grid_scene
 
-from dirl.agent.agent import Planning, Remembering, arrow_costs, likeness
+from dirl.agent.agent import Localising, Planning, Remembering, arrow_costs, likeness
 from dirl.agent.cameras import compare
 from dirl.envs import SurroundingViews
 from dirl.evaluation.episodes import EvaluationProtocol, RandomPolicy, every_start
 from dirl.evaluation.protocol import metrics
-from dirl.models import PlanningMemory
+from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.perception.recognition.recogniser import NCC
 from dirl.scenes import make_world
 
@@ -45,6 +46,44 @@ def test_what_looks_like_a_later_look_of_a_place_but_not_like_the_first_is_anoth
         assert agent.past.here.tolist() == [node]
         assert planned.isfinite().all()
         agent.action = torch.zeros_like(action)
+
+
+@pytest.mark.parametrize(("action", "photo"), [(1, True), (2, False)])
+@pytest.mark.parametrize(("a_turn_later", "places", "goal"), [(45.0, 3, -5.0), (11.0, 2, -0.22)])
+def test_what_looks_the_same_after_turns_has_to_look_as_much_the_same_later(action, photo, a_turn_later, places, goal):
+    """The second move leads to what looks 8 nats like the first place: another one where views hardly change."""
+    agent, faced = Localising(LocalisingMemory(), turns=8), []
+
+    def see(heading, nats):
+        ahead = torch.tensor([(heading - earlier) % 8 for earlier in faced], dtype=torch.int64)
+        agent.arrive(
+            SimpleNamespace(
+                visit=torch.zeros(1, 8, 1),
+                alike=lambda seen: torch.full((1, len(faced), 8), -9.0).scatter(2, ahead[None, :, None], nats),
+                goal_odds=lambda visits, _: torch.zeros(1, visits.shape[1], 8),
+                place_odds=lambda: None,
+                displacement=lambda *_: None,
+                inputs=None,
+                points=None,
+                photo=photo,
+                pooled=torch.ones(1, 8, 4),
+                goal_pooled=torch.ones(1, 1, 4),
+                along=None,
+                toward=None,
+                arrows=torch.ones(1, 8, 4, dtype=torch.bool),
+            )
+        )
+        faced.append(heading)
+
+    see(0, 0.0)
+    for turn in range(1, 4):
+        agent.action = torch.tensor([action])
+        see(turn if action == 1 else -turn, a_turn_later)
+    agent.action = torch.tensor([0])
+    see(faced[-1], -9.0)
+    see(faced[-1], 8.0)
+    assert agent.past.used.view(-1, 8).any(1).sum() == places
+    assert torch.allclose(agent.past.goal[0, -1], torch.tensor(0.0 if photo else goal), atol=0.01)
 
 
 def test_a_policy_is_trusted_half_where_a_memory_plans():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from odds import Odds
+from PIL import Image
 from refusals import refused
 from rooms import grid_scene
 from shown_goals import images_of, look_up, rooms, trained, walk_until_stop
@@ -130,11 +131,13 @@ def test_who_sees_a_panorama_gives_the_images_of_all_headings_at_each_step(tmp_p
     refused(r"^images: expected uint8 .*, or a panorama's \[8, H, W, 3\] or", navigator.act, images_of(around[0, :6]))
 
 
-@pytest.mark.parametrize("odds", [12.0, -12.0])
+@pytest.mark.parametrize("odds", [10.0, -12.0])
 def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monkeypatch):
     class Points:
-        def __init__(self, photo):
-            assert photo.ndim == 3
+        enough = True
+
+        def __init__(self, photo, field_of_view):
+            assert (photo.ndim, field_of_view) == (3, pytest.approx(50, abs=1))
 
         def log_odds(self, views, likeness):
             assert (len(views), likeness.argmax()) == (8, 0)  # the photo is of the view ahead
@@ -146,9 +149,16 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
     trained(tmp_path, world, FRONT, "episodic_memory=localising")
     navigator, around = load(tmp_path, world, turns=8), world.panoramas()
     navigator.points = True  # as where XFeat is installed
-    navigator.reset(images_of(3))
-    decision = navigator.act(images_of(around[3]))
-    assert decision.stop == (odds > 0)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 43  # millimetres on film; images are 2x5
+    file = tmp_path / "photo.webp"
+    Image.fromarray(images_of(3)).save(file, exif=exif, lossless=True)
+    for photo, angle in ((images_of(3), 50), (file, None)):
+        navigator.reset(photo, field_of_view=angle)
+        decision = navigator.act(images_of(around[3]))
+        assert decision.stop == (odds > 0)
+    for angle in (5, True, "50"):
+        refused("^field_of_view=", navigator.reset, images_of(3), field_of_view=angle)
     navigator.reset(images_of(world.surrounding[3]))  # four views are compared without points
     assert navigator.act(images_of(around[3])).scores.matching != pytest.approx(decision.scores.matching)
 

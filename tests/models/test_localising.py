@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from dirl.models import LocalisingMemory
+from dirl.models import LocalisingMemory, localising
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 
@@ -111,7 +111,7 @@ def test_who_knows_the_whole_place_stops_at_the_most_probable_node():
     assert not LocalisingMemory(settle=0.95).stops(closed).item()
 
 
-def test_where_all_was_tried_an_uncertain_place_is_seen_again():
+def test_where_all_was_tried_an_uncertain_place_is_seen_again_but_not_for_ever(monkeypatch):
     around = [(AHEAD, {0: -3.0}), (BACK, {})]
     around = [*around, *((RIGHT, {}), *around) * 3]
     goal = {visit: dict.fromkeys(range(4), 0.7) for visit in (0, 2, 3, 5, 6, 8, 9, 11)}
@@ -119,6 +119,12 @@ def test_where_all_was_tried_an_uncertain_place_is_seen_again():
     assert not LocalisingMemory().stops(left).item()
     assert LocalisingMemory().plan(left).argmax().item() == BACK
     assert LocalisingMemory(seek=2.0).plan(left).argmax().item() != BACK
+    seen_often = [*around, *[(AHEAD, {}), (BACK, {})] * 4, (AHEAD, {})]
+    left = walk(LocalisingMemory(), *seen_often, goal=goal | dict.fromkeys((13, 15, 17, 19), goal[0]))
+    monkeypatch.setattr(localising, "LOOKS", 12)
+    assert LocalisingMemory().plan(left).argmax().item() == BACK
+    monkeypatch.setattr(localising, "_panorama", lambda _: True)
+    assert LocalisingMemory().plan(left).argmax().item() != BACK
 
 
 def test_a_move_that_no_arrow_shows_is_not_tried_and_hides_no_goal():

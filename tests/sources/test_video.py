@@ -89,6 +89,9 @@ def test_photos_are_upright_and_tell_their_field_of_view(tmp_path):
     assert read_photo(file).shape == (480, 360, 3)
     # As wide from corner to corner as 26 mm on film, 79.5 degrees, of which an upright photo's width is three fifths.
     assert photo_field_of_view(file) == pytest.approx(53.1, abs=0.1)
+    exif.get_ifd(0x8769)[0xA405] = 1  # of no camera
+    Image.new("RGB", (800, 600)).save(file, exif=exif)
+    assert photo_field_of_view(file) is None
     Image.new("RGB", (800, 600)).save(file)
     assert photo_field_of_view(file) is None
 

@@ -20,7 +20,7 @@ from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.belief import UNLIKELY, GoalBelief
 from dirl.models.localising import MOVE
 from dirl.scenes import ACTIONS
-from dirl.scenes.graph import AHEAD, BACK
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT
 
 Memory = PlanningMemory | LocalisingMemory
 
@@ -36,6 +36,10 @@ SAVED = 5.0
 
 LONGEST, UNUSUAL = 4, -4.0
 """Cells of the network that locates goals that a move may be long, and the log prior of more than one."""
+
+CHANGED, MOST = 10.0, 5.0
+"""Log odds that a panorama is of its place where nearly all has changed; and how much the odds of goals are lowered at
+most. See `Localising.doubt`."""
 
 MANY = 50_000
 """Above this number of agents, one random number samples an action, where `torch.multinomial` draws four."""
@@ -101,10 +105,14 @@ class Observed(Protocol):
         """Return `at_goal` for the chosen agents, facing each view, bool ``[B, K]``; False for others."""
 
     @property
-    def points(self) -> Tensor | float:
-        """Log odds that a photo of the goal was taken here, by matched points, facing each view, ``[B, K]``, or 0.
+    def photo(self) -> bool:
+        """Whether a goal is one photo, not four views."""
 
-        They are added to those of the recogniser; see `dirl.perception.recognition.other_cameras`.
+    @property
+    def points(self) -> Tensor | None:
+        """Log odds that a photo of the goal was taken here, by matched points, facing each view, ``[B, K]``, or None.
+
+        They stand in the place of the recogniser's; see `dirl.perception.recognition.other_cameras`.
         """
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
@@ -257,6 +265,8 @@ class Localising(Remembering):
         """Where the goals are; None where nobody tells, and with a map, which tells it."""
         self.before: Tensor | None = None
         """What was seen a step ago, see `Observed.inputs`."""
+        self.again: Tensor | None = None
+        """Mean log odds that a place is one with itself, a turn later, float32 ``[B]``; recent turns count more."""
         self.lengths: Tensor | None = None
         """Log probability, up to a constant, that a move is 1, 2, ... cells long, float32 ``[B, cells]``."""
 
@@ -274,12 +284,18 @@ class Localising(Remembering):
         alike = self.remember(now)
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
+        if self.past.goal.shape[2] > VIEWS and self.known is None:  # a panorama
+            doubt = self.doubt(alike)
+            alike = alike - doubt[:, None, None]
+            if not now.photo:  # it may be of another day, so half as much, and not without a bound
+                odds = odds - (doubt / 2).clamp(max=MOST)[:, None]
         alone = self.known is not None or self.memory.exact  # views that return bit for bit tell the place better
         if not alone and (place := now.place_odds()) is not None:
             # The recogniser tells the heading, and the network that locates the goal which place this is.
             shows = odds.isfinite()
             odds = torch.where(shows, odds.log_softmax(1) + place[:, None], -math.inf)
-        odds = odds + now.points
+        if now.points is not None:
+            odds = now.points
         self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows, self.stayed(now))
         displacement = now.displacement() if self.known is None else None
         if displacement is not None:
@@ -287,6 +303,19 @@ class Localising(Remembering):
             self.belief = self.belief or GoalBelief(agents, device)
             self.belief.see(displacement, position / MOVE, heading, self.turns, self.length)
         return self.memory.stops(self.past, self.belief)
+
+    def doubt(self, alike: Tensor) -> Tensor:
+        """Return how many nats to take off the log odds that panoramas are of one place, float32 ``[B]``.
+
+        Who turns sees the same place again. The more alike it looks then, the more alike it has to look later.
+        """
+        if self.again is None:
+            self.again = alike.new_full((len(alike),), CHANGED)
+        if alike.shape[1]:
+            turned = (self.action == RIGHT).long() - (self.action == LEFT).long()
+            same = alike[torch.arange(len(alike), device=alike.device), -1, turned % alike.shape[2]]
+            self.again = torch.where(turned != 0, (self.again + same) / 2, self.again)
+        return ((self.again - CHANGED) / 2).clamp(min=0)
 
     def stayed(self, now: Observed) -> Tensor | None:
         """Return how much more likely this is seen if the last move was blocked, log ratios ``[B]``; None = unknown.
@@ -329,6 +358,8 @@ class Localising(Remembering):
         super().select(chosen)
         if self.before is not None:
             self.before = self.before[chosen]
+        if self.again is not None:
+            self.again = self.again[chosen]
         if self.lengths is not None:
             self.lengths = self.lengths[chosen]
         if self.belief is not None:

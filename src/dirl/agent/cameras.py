@@ -221,7 +221,7 @@ class Views:
         possible: Tensor | None = None,
     ) -> None:
         self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
-        self.points: Tensor | float = 0.0
+        self.points: Tensor | None = None
         """See `dirl.agent.agent.Observed`; the navigator matches them."""
         self.arrows = None if possible is None else possible.expand(*features.shape[:2], -1)
 
@@ -313,6 +313,11 @@ class Views:
             matching = self.goal.matching(each_heading(self.features[chosen]), chosen)
             stops[chosen] = matching.unflatten(0, (-1, headings)) > self.threshold
         return stops
+
+    @property
+    def photo(self) -> bool:
+        """Whether the goals are photos."""
+        return self.goal.photo
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits see the goal facing each view."""

@@ -234,10 +234,12 @@ class AgentBatch:
     @property
     def toward(self) -> Tensor | None:
         """How clearly the arrows around the agents lead to the goals that are shown."""
-        world, photo = self.known.world, self.known.observation.goal_view == "front"
+        world = self.known.world
         if world.toward is None or self.known.sweeps:
             return None
-        return world.toward[int(photo), world.pair(self.shown[:, None] % len(world.goals), self.visit % len(world))]
+        return world.toward[
+            int(self.photo), world.pair(self.shown[:, None] % len(world.goals), self.visit % len(world))
+        ]
 
     @property
     def goal_pooled(self) -> Tensor:
@@ -309,9 +311,13 @@ class AgentBatch:
         return stops
 
     @property
-    def points(self) -> float:
-        """0: a world holds no points of its views."""
-        return 0.0
+    def photo(self) -> bool:
+        """Whether the goals are photos."""
+        return self.known.observation.goal_view == "front"
+
+    @property
+    def points(self) -> None:
+        """None: a world holds no points of its views."""
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits see the goal facing each view."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS
-from dirl.scenes.views import ImageError, read_photo
+from dirl.scenes.views import ANGLES, ImageError, read_photo
 
 Images = Tensor | NDArray[np.uint8] | str | Path | Sequence[str | Path]
 """RGB pixels, uint8, or the file of a photo, or the files of an agent's views (JPEG, PNG or WebP)."""
@@ -79,6 +79,14 @@ def check_turns(turns: Any) -> None:
     """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
     if isinstance(turns, bool) or not isinstance(turns, int) or turns % VIEWS or not 0 < turns <= MOST_TURNS:
         raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
+
+
+def check_field_of_view(field_of_view: Any) -> None:
+    """Raise `NavigatorError` unless this is the angle of a photo in degrees, or None."""
+    least, most = ANGLES
+    number = isinstance(field_of_view, int | float) and not isinstance(field_of_view, bool)
+    if field_of_view is not None and not (number and least <= field_of_view <= most):
+        raise NavigatorError(f"field_of_view={field_of_view!r}: expected degrees from left to right, {least} to {most}")
 
 
 def check_last_steps(last_steps: Any) -> None:

@@ -21,6 +21,7 @@ from dirl.agent.images import (
     Images,
     NavigatorError,
     check_agents,
+    check_field_of_view,
     check_last_steps,
     check_turns,
     checked_features,
@@ -39,6 +40,7 @@ from dirl.perception.recognition.other_cameras import PhotoPoints
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
+from dirl.scenes.views import photo_field_of_view
 
 UNRECOGNISED = 20
 """Steps in a row in which neither the goal nor a place seen before is recognised, until a `Navigator` says so. In walks
@@ -168,6 +170,7 @@ class Navigator:
         self,
         goal_images: Images,
         *,
+        field_of_view: float | None = None,
         graph: ImageGraph | PlaceMap | str | Path | None = None,
         last_steps: int = LAST_STEPS,
     ) -> None:
@@ -179,6 +182,8 @@ class Navigator:
                 depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
                 one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents. Or the
                 file of a photo (JPEG, PNG or WebP), or the files of the four views.
+            field_of_view: of a single photo from left to right, degrees, with which fewer panoramas are taken for its
+                place; if left out what its file says (EXIF), if it does.
             graph: a map of the place, see `explore`, or the folder of a saved one, for a single agent. A topological
                 map leads it to the goal; the policy decides within ``last_steps`` of it, and where the agent does not
                 recognise what it sees. A `PlaceMap` is what the agent's memory begins with.
@@ -190,6 +195,7 @@ class Navigator:
         """
         with self._lock, torch.no_grad():
             check_last_steps(last_steps)  # also where no map is given
+            check_field_of_view(field_of_view)
             pixels, count, _ = checked_images(goal_images, "goal_images", sequential=self.sequential)
             views = self._encode(pixels, count)
             if self.sequential:
@@ -205,7 +211,11 @@ class Navigator:
                 else:
                     guide = GraphGuide(walked, goal.described[0], last_steps)
             panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
-            photo = PhotoPoints(pixels[0].cpu().numpy()) if self.points and panoramas and len(pixels) == 1 else None
+            photo = None
+            if self.points and panoramas and len(pixels) == 1:
+                if field_of_view is None and isinstance(goal_images, str | Path):
+                    field_of_view = photo_field_of_view(goal_images)
+                photo = PhotoPoints(pixels[0].cpu().numpy(), field_of_view)
             self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
             self._goal, self._photo, self._seen, self._strange = goal, photo, None, 0
 
@@ -250,15 +260,16 @@ class Navigator:
                 views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
             state = () if before is None else before.state
             now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
-            if self._photo is not None and count > VIEWS:
+            if self._photo is not None and self._photo.enough and count > VIEWS:
                 like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
-                now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu()).to(self.device)
+                now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu())[None].to(self.device)
             stop = self.agent.arrive(now)
             action, logits = self.agent.act(now, generator, greedy=not sample)
             self._seen = now
             self._notice_strangeness(stop)
             if isinstance(self.agent, Localising) and self.agent.seen is not None:
-                matching = (now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0] + now.points)[:, 0]
+                told = now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0] if now.points is None else now.points
+                matching = told[:, 0]
             else:
                 matching = now.matching
             probabilities = logits.softmax(-1)

@@ -38,6 +38,9 @@ TOWARDS = 1.5
 TWICE = 0.4
 """Factor of the doubt that is left at a stop where a belief is added: what a visit says of its place is in both."""
 
+LOOKS = 16
+"""Visits of a place that looks like the goal after which no agent returns to see it again: more would hardly add."""
+
 UNASKED = math.log(len(ACTIONS))
 """Cost of an action facing a heading that was not seen, for which the policy cannot be asked: all are as likely."""
 
@@ -322,7 +325,10 @@ class LocalisingMemory(nn.Module):
         wanted[at, best // turns] = exits[at, best // turns] & around[:, None]
         wanted = wanted.view(places.after.shape)
         goal = torch.zeros_like(wanted[..., 0])
-        goal[at, best] = ((odds > self.seek) | certain) & ~around & (best != places.here)
+        unsure = odds > self.seek
+        if _panorama(places):
+            unsure = unsure & (_by_node(torch.ones_like(places.goal), places)[at, best] < LOOKS)
+        goal[at, best] = (unsure | certain) & ~around & (best != places.here)
         known = places.after >= 0
         again = again_costs(places.cost, self.repeated, self.turn, steps=steps)
         # On the way to a goal that was seen, or around a place that is like it, an action more costs more than doubts.

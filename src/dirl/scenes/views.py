@@ -1,6 +1,7 @@
 """The camera views of a dump: read and decoded one at a time, on access."""
 
 import io
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
@@ -175,6 +176,31 @@ def open_photo(file: str | Path, *, load: bool = True) -> Image.Image:
     except Exception as error:  # of damaged EXIF, as SyntaxError and TypeError
         raise ImageError(f"{file}: its EXIF is damaged ({error})") from None
     return image
+
+
+FILM = math.hypot(36, 24)
+"""Millimetres from corner to corner of 35 mm film."""
+
+
+ANGLES = 10, 150
+"""Least and greatest field of view of a photo, degrees from left to right: those of others are not believed."""
+
+
+def photo_field_of_view(file: str | Path) -> float | None:
+    """Return degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none.
+
+    That is the length that sees as much from corner to corner, whatever the shape of the photo (CIPA DCG-001).
+    """
+    try:
+        image = open_photo(file, load=False)
+        exif = image.getexif()
+        focal = float(exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm) or 0)
+    except Exception:  # Pillow raises many kinds for damaged EXIF
+        return None
+    across = exif.get(ExifTags.Base.Orientation, 1) in (5, 6, 7, 8)  # turned when shown
+    width = FILM * image.size[across] / math.hypot(*image.size)
+    angle = math.degrees(2 * math.atan2(width / 2, focal))
+    return angle if ANGLES[0] <= angle <= ANGLES[1] else None
 
 
 def natural_order(file: Path) -> list[tuple[int, int | str]]:

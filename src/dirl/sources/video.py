@@ -8,18 +8,25 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import islice
-from math import hypot, prod
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image
+from PIL import Image
 
 from dirl.scenes.io.files import FREELY_UNPACKED
 from dirl.scenes.io.read import SECONDS, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
-from dirl.scenes.views import MAX_PHOTO_PIXELS, ImageError, natural_order, open_image, open_photo
+from dirl.scenes.views import (
+    MAX_PHOTO_PIXELS,
+    ImageError,
+    natural_order,
+    open_image,
+    open_photo,
+    photo_field_of_view,
+)
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -27,9 +34,6 @@ if TYPE_CHECKING:
 
 SIDE = 480
 """Pixels of the longer side of frames as they are compared."""
-
-FILM = hypot(36, 24)
-"""Millimetres from corner to corner of 35 mm film."""
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 """Suffixes of the images of a folder."""
@@ -154,22 +158,6 @@ def read_photo(file: str | Path) -> NDArray[np.uint8]:
         SceneError: it cannot be decoded, or has 16 bits.
     """
     return _small(file, open_photo(file))
-
-
-def photo_field_of_view(file: str | Path) -> float | None:
-    """Return degrees from left to right, by the focal length of 35 mm film in a photo's EXIF; None if there is none.
-
-    That length sees as much from corner to corner, whatever the shape of the photo (CIPA DCG-001).
-    """
-    try:
-        image = open_photo(file, load=False)
-        exif = image.getexif()
-        focal = float(exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm) or 0)
-    except Exception:  # Pillow raises many kinds for damaged EXIF
-        return None
-    across = exif.get(ExifTags.Base.Orientation, 1) in (5, 6, 7, 8)  # turned when shown
-    width = FILM * image.size[across] / hypot(*image.size)
-    return float(2 * np.degrees(np.arctan(width / 2 / focal))) if focal > 0 else None
 
 
 def _small(source: str | Path, image: Image.Image) -> NDArray[np.uint8]:

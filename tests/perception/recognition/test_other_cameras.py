@@ -7,7 +7,7 @@ from hall import look
 from PIL import Image
 
 from dirl.perception.recognition import other_cameras
-from dirl.perception.recognition.other_cameras import LEAST, NONE, WEIGHT, PhotoPoints
+from dirl.perception.recognition.other_cameras import LEAST, WEIGHT, PhotoPoints
 
 TURNS = 8
 
@@ -31,8 +31,9 @@ def photo():
     return nearer(look(6, 2.5, -50, size=(480, 640), fov=80), 1.05)
 
 
-def test_a_photo_of_another_camera_is_found_where_it_was_taken(photo):
-    points, alike = PhotoPoints(photo), torch.tensor([0.5, 0.9, 0.8, 0, 0, 0, 0, 0])
+@pytest.mark.parametrize("field_of_view", [None, 48.5])
+def test_a_photo_of_another_camera_is_found_where_it_was_taken(photo, field_of_view):
+    points, alike = PhotoPoints(photo, field_of_view), torch.tensor([0.5, 0.9, 0.8, 0, 0, 0, 0, 0])
     places = (6, 2.5), (9, 4), (6, 2.5, 9)
     here, in_sight, another_hall = (points.log_odds(panorama(*place), alike) for place in places)
     assert here.argmax() == 1
@@ -43,7 +44,8 @@ def test_a_photo_of_another_camera_is_found_where_it_was_taken(photo):
 
 def test_a_blank_photo_tells_nothing_and_blank_views_are_elsewhere(photo):
     grey, alike = np.full((240, 320, 3), 90, np.uint8), torch.arange(TURNS) / TURNS
-    assert (PhotoPoints(grey).log_odds(panorama(6, 2.5), alike) == 0).all()
+    assert not PhotoPoints(grey).enough
+    assert PhotoPoints(photo).enough
     assert (PhotoPoints(photo).log_odds(np.repeat(grey[None], TURNS, 0), alike) == LEAST).all()
 
 
@@ -68,6 +70,10 @@ def test_points_that_agree_on_a_rotation_count(monkeypatch, turn, heading):
         return pixels(seen, 160 / np.tan(np.radians(37.5)), (320, 320)), vectors
 
     monkeypatch.setattr(other_cameras, "xfeat", lambda: found)
-    points = PhotoPoints(np.ones((300, 300, 3), np.uint8))
-    odds = points.log_odds(np.full((TURNS, 320, 320, 3), 2, np.uint8), torch.eye(TURNS)[1])
-    assert odds[heading] == pytest.approx(WEIGHT * np.log(31) - NONE, abs=0.3)
+    views = np.full((TURNS, 320, 320, 3), 2, np.uint8)
+    for field_of_view in (None, np.degrees(2 * np.arctan(0.5 / 0.7))):
+        points = PhotoPoints(np.ones((300, 300, 3), np.uint8), field_of_view)
+        odds = points.log_odds(views, torch.eye(TURNS)[1])
+        assert odds[heading] == pytest.approx(WEIGHT * np.log(0.75 / points.even), abs=0.5)
+    misled = PhotoPoints(np.ones((300, 300, 3), np.uint8), 100.0)
+    assert misled.log_odds(views, torch.eye(TURNS)[1]).max() == LEAST  # of another angle nothing agrees

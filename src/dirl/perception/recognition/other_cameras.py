@@ -5,6 +5,8 @@ place, however, the points of two pictures differ by a single rotation, whatever
 things move against far ones, and fewer points agree.
 """
 
+import math
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -16,13 +18,15 @@ from dirl.perception.matching import angles, mutual, xfeat
 VIEW, FIELD_OF_VIEW = 320, 75.0
 """Pixels that a view is made wide, and its horizontal field of view, degrees."""
 
-PHOTO = 256, 330
-"""Pixels that the longer side of a photo is made: XFeat matches what is about equally large, and the photo's focal
-length is unknown."""
+FOCAL = VIEW / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))
+"""Of a view, pixels: XFeat matches what is about equally large, so a photo is made as long."""
 
-FOCAL = 0.6, 0.65, 0.7, 0.76, 0.82, 0.89
-"""Focal lengths of a photo that are tried, in lengths of its longer side: 80 to 59 degrees. Beyond, a photo taken here
-looks like one that was taken a step ahead."""
+SIDES = 256, 330
+"""Pixels that the longer side of a photo is made whose focal length is unknown."""
+
+FOCALS = 0.6, 0.65, 0.7, 0.76, 0.82, 0.89
+"""Focal lengths of such a photo that are tried, in lengths of its longer side: 80 to 59 degrees. Beyond, a photo taken
+here looks like one that was taken a step ahead."""
 
 FEW = 60
 """A photo with fewer points tells nothing by them: it shows a blank wall, or is too small."""
@@ -33,63 +37,72 @@ LIKELY = 2
 ALIKE = 0.75
 """Least cosine of the vectors of two points."""
 
-MATCHES = 160
-"""Of two pictures, at most, the clearest."""
+MATCHES = 20, 160
+"""Of two pictures: as so many count fewer, and at most so many are taken, the clearest."""
 
-TOLERANCE = 0.02
-"""Radians within which points agree."""
+KNOWN, UNKNOWN = (0.03, 0.62), (0.02, 0.5)
+"""Radians within which points agree, and the share of matches that agree at which log odds are even: where the focal
+length is known, and where it is not."""
 
-WEIGHT, NONE, LEAST = 3.0, 11.0, -4.0
-"""Log odds are ``WEIGHT * log(1 + points) - NONE``, at least `LEAST`; chosen on real tours, see docs/decisions.md."""
+WEIGHT, LEAST = 12.0, -6.0
+"""Log odds are ``WEIGHT * log(share / even)``, at least `LEAST`; chosen on real tours, see docs/decisions.md."""
 
 
 class PhotoPoints:
-    """The points of one photo, RGB, uint8 ``[H, W, 3]``, found by XFeat (``pip install 'dirl[match]'``)."""
+    """The points of one photo, found by XFeat (``pip install 'dirl[match]'``).
 
-    def __init__(self, photo: NDArray[np.uint8]) -> None:
-        longer = max(photo.shape[:2])
-        parts = [_points(_resized(photo, side / longer), side) for side in PHOTO]
+    Args:
+        photo: RGB, uint8 ``[H, W, 3]``.
+        field_of_view: from left to right, degrees; None where it is unknown.
+    """
+
+    def __init__(self, photo: NDArray[np.uint8], field_of_view: float | None = None) -> None:
+        longer, width = max(photo.shape[:2]), photo.shape[1]
+        self.tolerance, self.even = UNKNOWN if field_of_view is None else KNOWN
+        self.focals: tuple[float, ...] = FOCALS
+        sides: tuple[int, ...] = SIDES
+        if field_of_view is not None:
+            focal = width / longer / 2 / math.tan(math.radians(field_of_view / 2))
+            self.focals, sides = (focal,), (round(FOCAL / focal),)
+        parts = [_points(_resized(photo, side / longer), side) for side in sides]
         self.places, self.vectors = torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
+        self.enough = len(self.places) >= FEW
+        """Whether there are enough to tell anything."""
 
     def log_odds(self, views: NDArray[np.uint8], likeness: Tensor) -> Tensor:
-        """Return how much points speak for the photo having been taken here, facing each view of a panorama.
+        """Return the log odds that the photo was taken here, facing each view of a panorama, float32 ``[K]``.
 
         Args:
             views: K views, clockwise, RGB, uint8 ``[K, H, W, 3]``.
             likeness: of each view as a whole to the photo, float32 ``[K]``.
-
-        Returns:
-            Log odds, float32 ``[K]``, to be added to those of a recogniser.
         """
         turns = len(views)
-        most = torch.zeros(turns)
-        if len(self.places) < FEW:
-            return most
+        odds = torch.full((turns,), LEAST)
         for view in likeness.topk(LIKELY).indices.tolist():
-            agree, yaw = self._agree(views[view])
+            share, yaw = self._agree(views[view])
             facing = (view + round(yaw / (360 / turns))) % turns
-            most[facing] = max(float(most[facing]), agree)
-        return (WEIGHT * most.log1p() - NONE).clamp(min=LEAST)
+            if share:
+                odds[facing] = max(float(odds[facing]), WEIGHT * math.log(share / self.even))
+        return odds
 
     def _agree(self, view: NDArray[np.uint8]) -> tuple[float, float]:
-        """Return how many points agree on a rotation, and how far right of the view's middle the photo's then is."""
+        """Return the share of points that agree on a rotation, and how far right of the middle the photo's is."""
         there, vectors = _points(_resized(view, VIEW / view.shape[1]), VIEW)
-        if not len(there):
-            return 0.0, 0.0
         alike = self.vectors @ vectors.T
-        first, second = mutual(alike, ALIKE)
+        first, second = mutual(alike, ALIKE) if len(there) else (there[:0], there[:0])
         if not len(first):
             return 0.0, 0.0
-        clearest = alike[first, second].topk(min(MATCHES, len(first))).indices
-        seen = angles(there[second[clearest]] / (0.5 / np.tan(np.radians(FIELD_OF_VIEW / 2))))
+        fewest, most = MATCHES
+        clearest = alike[first, second].topk(min(most, len(first))).indices
+        seen = angles(there[second[clearest]] * VIEW / FOCAL)
         best = 0.0, 0.0
-        for focal in FOCAL:
+        for focal in self.focals:
             turned = seen - angles(self.places[first[clearest]] / focal)
-            together = torch.cdist(turned, turned, p=torch.inf) < TOLERANCE
+            together = torch.cdist(turned, turned, p=torch.inf) < self.tolerance
             count, middle = together.sum(1).max(0)
             if count > best[0]:
                 best = float(count), float(torch.rad2deg(turned[together[middle], 0].mean()))
-        return best
+        return best[0] / max(fewest, len(clearest)), best[1]
 
 
 def _points(picture: NDArray[np.uint8], unit: float) -> tuple[Tensor, Tensor]:
