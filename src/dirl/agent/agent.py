@@ -110,10 +110,7 @@ class Observed(Protocol):
 
     @property
     def points(self) -> Tensor | None:
-        """Log odds that a photo of the goal was taken here, by matched points, facing each view, ``[B, K]``, or None.
-
-        They stand in the place of the recogniser's; see `dirl.perception.recognition.other_cameras`.
-        """
+        """Log odds by matched points that a photo was taken here, facing each view, ``[B, K]``; else None."""
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits, ``[B, T, K, ...]``, see the goal facing each view; float32 ``[B, T, K]``.

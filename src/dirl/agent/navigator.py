@@ -182,8 +182,7 @@ class Navigator:
                 depends on the training (``imitation.front_only``, ``goal_view=front``). With sequential views
                 one image, ``[H, W, 3]`` or ``[B, H, W, 3]``. A single goal also serves a batch of agents. Or the
                 file of a photo (JPEG, PNG or WebP), or the files of the four views.
-            field_of_view: of a single photo from left to right, degrees, with which fewer panoramas are taken for its
-                place; if left out what its file says (EXIF), if it does.
+            field_of_view: of a single photo, degrees from left to right; if left out, what its file says (EXIF).
             graph: a map of the place, see `explore`, or the folder of a saved one, for a single agent. A topological
                 map leads it to the goal; the policy decides within ``last_steps`` of it, and where the agent does not
                 recognise what it sees. A `PlaceMap` is what the agent's memory begins with.
