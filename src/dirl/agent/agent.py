@@ -280,8 +280,8 @@ class Localising(Remembering):
             self.past = self.known.begin(now.goal_odds(earlier, earlier))
         alike = self.remember(now)
         assert self.seen is not None
-        odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0]
-        if self.past.goal.shape[2] > VIEWS and self.known is None:  # a panorama
+        odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] if now.points is None else now.points
+        if now.visit.shape[1] > VIEWS and self.known is None:  # a panorama
             doubt = self.doubt(alike)
             alike = alike - doubt[:, None, None]
             if not now.photo:  # it may be of another day, so half as much, and not without a bound
@@ -291,8 +291,6 @@ class Localising(Remembering):
             # The recogniser tells the heading, and the network that locates the goal which place this is.
             shows = odds.isfinite()
             odds = torch.where(shows, odds.log_softmax(1) + place[:, None], -math.inf)
-        if now.points is not None:
-            odds = now.points
         self.past = self.memory.arrive(self.past, alike, odds, self.costs(now), now.arrows, self.stayed(now))
         displacement = now.displacement() if self.known is None else None
         if displacement is not None:

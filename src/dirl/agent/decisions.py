@@ -237,9 +237,8 @@ class AgentBatch:
         world = self.known.world
         if world.toward is None or self.known.sweeps:
             return None
-        return world.toward[
-            int(self.photo), world.pair(self.shown[:, None] % len(world.goals), self.visit % len(world))
-        ]
+        pairs = world.pair(self.shown[:, None] % len(world.goals), self.visit % len(world))
+        return world.toward[int(self.photo), pairs]
 
     @property
     def goal_pooled(self) -> Tensor:

@@ -214,7 +214,8 @@ class Navigator:
             if self.points and panoramas and len(pixels) == 1:
                 if field_of_view is None and isinstance(goal_images, str | Path):
                     field_of_view = photo_field_of_view(goal_images)
-                photo = PhotoPoints(pixels[0].cpu().numpy(), field_of_view)
+                found = PhotoPoints(pixels[0].cpu().numpy(), field_of_view)
+                photo = found if found.enough else None
             self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
             self._goal, self._photo, self._seen, self._strange = goal, photo, None, 0
 
@@ -259,7 +260,7 @@ class Navigator:
                 views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
             state = () if before is None else before.state
             now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
-            if self._photo is not None and self._photo.enough and count > VIEWS:
+            if self._photo is not None and count > VIEWS:
                 like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
                 now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu())[None].to(self.device)
             stop = self.agent.arrive(now)

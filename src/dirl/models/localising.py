@@ -39,7 +39,8 @@ TWICE = 0.4
 """Factor of the doubt that is left at a stop where a belief is added: what a visit says of its place is in both."""
 
 LOOKS = 16
-"""Visits of a place that looks like the goal after which no agent returns to see it again: more would hardly add."""
+"""Visits of a panorama that looks like the goal after which no agent returns to see it again. Where views return, it
+went to and fro; in rooms each look has other errors, and tells more."""
 
 UNASKED = math.log(len(ACTIONS))
 """Cost of an action facing a heading that was not seen, for which the policy cannot be asked: all are as likely."""

@@ -181,7 +181,6 @@ def open_photo(file: str | Path, *, load: bool = True) -> Image.Image:
 FILM = math.hypot(36, 24)
 """Millimetres from corner to corner of 35 mm film."""
 
-
 ANGLES = 10, 150
 """Least and greatest field of view of a photo, degrees from left to right: those of others are not believed."""
 

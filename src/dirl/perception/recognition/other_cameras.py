@@ -88,8 +88,10 @@ class PhotoPoints:
     def _agree(self, view: NDArray[np.uint8]) -> tuple[float, float]:
         """Return the share of points that agree on a rotation, and how far right of the middle the photo's is."""
         there, vectors = _points(_resized(view, VIEW / view.shape[1]), VIEW)
+        if not len(there):
+            return 0.0, 0.0
         alike = self.vectors @ vectors.T
-        first, second = mutual(alike, ALIKE) if len(there) else (there[:0], there[:0])
+        first, second = mutual(alike, ALIKE)
         if not len(first):
             return 0.0, 0.0
         fewest, most = MATCHES
