@@ -5,7 +5,7 @@ import sys
 from ctypes.util import find_library
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,13 +27,15 @@ class Grid(Field):
         super().__init__()
         self.cells, self.one_way, self.pose = set(map(tuple, cells)), set(one_way), Pose(0.5, 0.5, 90.0)
 
+    def is_free(self, pose):
+        return (round(pose[0] - 0.5), round(pose[1] - 0.5)) in self.cells
+
     def push(self, metres):
         x, z, heading = self.pose
         end = x + metres * np.sin(np.radians(heading)), z + metres * np.cos(np.radians(heading))
-        here, there = (tuple(round(at - 0.5) for at in place) for place in ((x, z), end))
-        if there not in self.cells or here in self.one_way:
+        if not self.is_free(end) or (round(x - 0.5), round(z - 0.5)) in self.one_way:
             return False
-        assert np.allclose(np.array(end) - 0.5, there), "a move that ends between places"
+        assert np.allclose(np.round(end, 3) % 1, 0.5), "a move that ends between places"
         self.pose = Pose(*end, heading)
         return True
 
@@ -110,43 +112,29 @@ def test_places_and_names_that_the_simulators_do_not_have(tmp_path, doom):
         refused(rf"{name}: not a readable WAD file", VizDoom, "map01", wad=str(tmp_path / name))
 
 
-ALONG = {0: (0, 1), 90: (1, 0), 180: (0, -1), 270: (-1, 0)}
-NOISE = 3e-7
-"""AI2-THOR's numbers are float32."""
+class AnsweringController:
+    """A double of AI2-THOR's controller, with events as ai2thor 5.0 makes them; without a grid Unity is gone."""
 
+    def __init__(self, grid=None):
+        self.grid = grid
 
-class Simulator:
-    """A double of the controller: it answers `step` with events as ai2thor 5.0 makes them, of a room on a grid."""
-
-    def __init__(self, *cells):
-        """``cells``: free ones (x, z), as multiples of the step, half a metre; without any Unity is gone."""
-        self.cells, self.heading = cells, 90
-        self.cell = cells[0] if cells else None
-
-    def step(self, action, **arguments):
-        if not self.cells:
+    def step(self, action, moveMagnitude=0.0, **pose):
+        if not self.grid:
             raise RuntimeError(f"Error encountered when running action {action}\n in scene FloorPlan1.")
         message = ""
         if action == "Teleport":
-            assert set(arguments) == {"position", "rotation", "horizon", "standing"}
-            cell = tuple(round(2 * arguments["position"][axis]) for axis in "xz")
-            if cell in self.cells:
-                self.cell, self.heading = cell, round(arguments["rotation"]["y"])
+            assert set(pose) == {"position", "rotation", "horizon", "standing"}
+            to = Pose(pose["position"]["x"], pose["position"]["z"], pose["rotation"]["y"])
+            if self.grid.is_free(to):
+                self.grid.place(to)
             else:
                 message = "Collided with: \nSink_3."
-        elif action in ("MoveAhead", "MoveBack"):
-            sign = 1 if action == "MoveAhead" else -1
-            to = tuple(at + sign * by for at, by in zip(self.cell, ALONG[self.heading], strict=True))
-            if to in self.cells:
-                self.cell = to
-            else:
-                message = "Wall is blocking Agent 0 from moving by (0.0000, 0.0000, 0.5000)."
-        at = {"x": self.cell[0] / 2 - NOISE, "y": 0.9009991884231567, "z": self.cell[1] / 2 + NOISE}
-        agent = {"position": at, "rotation": {"x": -0.0, "y": self.heading + NOISE, "z": 0.0}}
+        elif action != "Pass" and not self.grid.push(moveMagnitude if action == "MoveAhead" else -moveMagnitude):
+            message = "Wall is blocking Agent 0 from moving by (0.0000, 0.0000, 1.0000)."
+        x, z, heading = np.array(self.grid.pose) + 3e-7  # its numbers are float32
+        agent = {"position": {"x": x, "y": 0.9, "z": z}, "rotation": {"x": -0.0, "y": heading, "z": 0.0}}
         metadata = {"agent": agent, "lastActionSuccess": not message, "errorMessage": message}
-        frame = np.full((3, 4, 3), 60 * (self.heading // 90), np.uint8)
-        frame[2, 3] += 9  # what is of one colour would be refused
-        return SimpleNamespace(metadata=metadata, frame=frame)
+        return SimpleNamespace(metadata=metadata, frame=self.grid.look(heading))
 
 
 def test_the_controller_is_started_as_asked_and_its_failure_is_one_line(monkeypatch):
@@ -161,11 +149,8 @@ def test_the_controller_is_started_as_asked_and_its_failure_is_one_line(monkeypa
     settings = {"step": 0.5, "height": 300, "width": 400, "field_of_view": 75, "headless": True}
     monkeypatch.setitem(sys.modules, "ai2thor.controller", None)
     refused(r"AI2-THOR is not installed .*: pip install 'dirl\[thor\]'", start_controller, "FloorPlan1", **settings)
-    names = ("ai2thor", "ai2thor.controller", "ai2thor.platform")
-    package, controller, platform = (ModuleType(name) for name in names)
-    controller.Controller, platform.CloudRendering = Controller, "the class"
-    for name, module in zip(names, (package, controller, platform), strict=True):
-        monkeypatch.setitem(sys.modules, name, module)
+    for name, what in (("controller", {"Controller": Controller}), ("platform", {"CloudRendering": "the class"})):
+        monkeypatch.setitem(sys.modules, f"ai2thor.{name}", SimpleNamespace(**what))
     assert isinstance(start_controller("FloorPlan1", **settings), Controller)
     fixed = {"snapToGrid": True, "rotateStepDegrees": 90, "gridSize": 0.5}
     camera = {"height": 300, "width": 400, "fieldOfView": 75, "platform": "the class"}
@@ -175,13 +160,13 @@ def test_the_controller_is_started_as_asked_and_its_failure_is_one_line(monkeypa
 
 
 def test_it_is_walked_live():
-    world = Simulated(Thor(Simulator((0, 0), (0, 1)), "FloorPlan1"), step=0.5)
-    world.reset(Pose(0.0, 0.0, 90.0))
+    grid = Grid([(0, 0), (0, 1)])
+    world = Simulated(Thor(AnsweringController(grid), "FloorPlan1"), step=1.0)
+    world.reset(Pose(0.5, 0.5, 90.0))
     assert [world.step(action) for action in (0, 2, 0, 0)] == [False, True, True, False]  # towards a wall, left, on
-    assert np.allclose(world.pose, (0.0, 0.5, 0.0), atol=1e-5)
+    assert np.allclose(world.pose, (0.5, 1.5, 0.0), atol=1e-5)
     assert world.step(3)
-    assert np.allclose(world.pose, (0.0, 0.0, 0.0), atol=1e-5)
-    assert world.views()[:, 0, 0, 0].tolist() == [0, 60, 120, 180]  # the double's colour of each heading
-    assert np.allclose(world.pose, (0.0, 0.0, 0.0), atol=1e-5)
+    assert np.allclose(world.views(), [grid.look(heading) for heading in (0, 90, 180, 270)], atol=1)
+    assert np.allclose(world.pose, (0.5, 0.5, 0.0), atol=1e-5)
     refused(r"FloorPlan1: .* put at 4\.00, 0\.00 m: Collided with: Sink_3", world.reset, Pose(4.0, 0.0, 0.0))
-    refused("FloorPlan1: AI2-THOR failed", Thor, Simulator(), "FloorPlan1")
+    refused("FloorPlan1: AI2-THOR failed", Thor, AnsweringController(), "FloorPlan1")

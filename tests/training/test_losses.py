@@ -152,22 +152,20 @@ def test_minibatches_take_every_row_once_a_pass(room):
     assert all((part["number"].diff() == 1).all() for part in agents)
 
 
-AGENTS, STEPS = 12, 20
+def walked(world, views, *lengths):
+    """What agents collect in calls of so many steps, ``[B, T]``, and where that leaves them."""
+    env = TransformedEnv(NavigationEnv(world, 12, seed=3), Compose(StepCounter(7), views(world)))
+    policy = make_policy(world.features, world.names, width=8).operator()
+    torch.manual_seed(0)
+    agents, batches = env.reset(), []
+    for steps in lengths:
+        batch, agents = collect(env, policy, agents, steps)
+        batches.append(batch)
+    return torch.cat(batches, 1), agents
 
 
-def make_env(world, views=SurroundingViews, agents=AGENTS):
-    transforms = Compose(StepCounter(7), views(world))
-    return TransformedEnv(NavigationEnv(world, agents, seed=3), transforms)
-
-
-@pytest.fixture
-def policy(world):
-    return make_policy(world.features, world.names, width=8).operator()
-
-
-def test_agents_that_are_done_start_anew(world, policy):
-    env = make_env(world)
-    batch, agents = collect(env, policy, env.reset(), STEPS)
+def test_agents_that_are_done_start_anew_and_their_actions_are_not_always_the_most_probable_ones(world):
+    batch, agents = walked(world, SurroundingViews, 20)
     done = batch["next", "done"].squeeze(-1)
     assert batch["next", "terminated"].any()
     assert batch["next", "truncated"].any()
@@ -177,25 +175,12 @@ def test_agents_that_are_done_start_anew(world, policy):
     assert not torch.equal(begun["goal"], batch["next"][:, :-1][done[:, :-1]]["goal"])
     assert not batch["done"].any()
     assert not agents["done"].any()
-
-
-def test_actions_are_sampled_and_not_the_most_probable_ones(world, policy):
-    batch, _ = collect(make_env(world), policy, make_env(world).reset(), STEPS)
     case = batch["state"] * len(world) + batch["goal"]
     taken = torch.stack([case.flatten(), batch["action"].flatten()]).unique(dim=1)
     assert taken.shape[1] > 1.5 * len(case.unique())  # several in a state on the way to a goal
 
 
-def test_two_short_calls_are_one_long_call(world, policy):
-    def in_calls_of(*lengths):
-        env = make_env(world, SequentialViews)
-        torch.manual_seed(0)
-        agents, batches = env.reset(), []
-        for steps in lengths:
-            batch, agents = collect(env, policy, agents, steps)
-            batches.append(batch)
-        return torch.cat(batches, 1), agents
-
-    whole, parts = in_calls_of(15), in_calls_of(4, 1, 10)
+def test_short_calls_are_one_long_call(world):
+    whole, parts = walked(world, SequentialViews, 15), walked(world, SequentialViews, 4, 1, 10)
     assert (whole[0] == parts[0]).all()
     assert (whole[1] == parts[1]).all()

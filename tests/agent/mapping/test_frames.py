@@ -19,7 +19,17 @@ from dirl.runs.checkpoints import save_checkpoint
 ALONG = [(1 + x, 2.5, 0) for x in range(14)]
 
 
-CORRIDOR = [(np.full((4, 4, 3), sign, np.uint8), float(sign), None) for sign in range(18)]
+def shown(sign, other=0):
+    """A view with a sign; what else is in it may change."""
+    return np.stack([np.full((4, 4), value, np.uint8) for value in (sign, other, 0)], -1)
+
+
+def recording(signs):
+    """A recording of views with signs."""
+    return [(shown(sign), float(time), None) for time, sign in enumerate(signs)]
+
+
+CORRIDOR = recording(range(18))
 """A recording by `Bricks`."""
 
 
@@ -113,13 +123,9 @@ def test_places_that_fit_alike_are_compared_closely(closer, monkeypatch):
 
 
 def test_frames_beside_the_best_count_too_if_they_are_of_the_same_recording():
-    first, second = (
-        [(np.full((4, 4, 3), sign, np.uint8), float(time), None) for time, sign in enumerate(signs)]
-        for signs in ((0, 3, 6), (9, 3, 0))
-    )
     bricks = Bricks(Motion(0, 0, 0))
-    graph = map_recordings([first, second], bricks, 65.0)
-    scores = graph.score(bricks, bricks.describe([first[2][0]]))
+    graph = map_recordings([recording((0, 3, 6)), recording((9, 3, 0))], bricks, 65.0)
+    scores = graph.score(bricks, bricks.describe([shown(6)]))
     assert scores[2] > scores[1] > 0  # of the frame itself, and of the one before it
     assert scores[[0, 3, 4, 5]].tolist() == [0] * 4  # with the other recording it has nothing in common
 
@@ -146,11 +152,7 @@ def test_frames_are_linked_where_those_around_them_agree_too(alike, links):
     bricks.period = 255
     first = [10 * frame for frame in range(7)]
     second = [sign if frame in alike else 100 + sign for frame, sign in enumerate(first)]
-    walks = [
-        [(np.full((4, 4, 3), sign, np.uint8), float(time), None) for time, sign in enumerate(signs)]
-        for signs in (first, second)
-    ]
-    assert linked(bricks, *walks).tolist() == links
+    assert linked(bricks, recording(first), recording(second)).tolist() == links
 
 
 class Glances(Bricks):
@@ -298,15 +300,8 @@ class Signs(Bricks):
         return Motion(0.0, 0.0, self.heading(float(frames.looks[frame, 0])) - self.heading(float(seen.looks[0, 0])))
 
 
-def shown(sign, other=0):
-    """A view with a sign; what else is in it may change."""
-    return np.stack([np.full((4, 4), value, np.uint8) for value in (sign, other, 0)], -1)
-
-
 def recorded(matcher, *recordings, links=()):
-    graph = map_recordings(
-        [[(shown(sign), float(n), None) for n, sign in enumerate(one)] for one in recordings], matcher, 90.0
-    )
+    graph = map_recordings(list(map(recording, recordings)), matcher, 90.0)
     return replace(graph, links=np.array(links, np.int64).reshape(-1, 2))
 
 
