@@ -154,29 +154,22 @@ def test_a_video_of_a_camera_held_upright_is_turned(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def store():
+def stores():
+    """The messages of ROS 2 and of ROS 1."""
     typesys = pytest.importorskip("rosbags.typesys")
-    return {
-        version: typesys.get_typestore(version) for version in (typesys.Stores.ROS1_NOETIC, typesys.Stores.ROS2_HUMBLE)
-    }
+    return [typesys.get_typestore(version) for version in (typesys.Stores.ROS2_HUMBLE, typesys.Stores.ROS1_NOETIC)]
 
 
-def write_bag(path, stores, kind, encoding="rgb8", second=False):
-    """A bag of ten images, half a second apart, and odometry that goes a metre with each."""
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys import Stores
+def write_bag(path, stores, kind, encoding="rgb8", cameras=("/camera",)):
+    """A bag of ten images of each camera, half a second apart, and odometry that goes a metre with each."""
+    from rosbags import rosbag1, rosbag2
 
     first = kind == "bag"
-    store = stores[Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE]
-    of = store.types
-    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    writer = Writer1(path) if first else Writer2(path, version=9, storage_plugin=plugin)
-    with writer:
-        compressed = encoding == "jpeg"
-        image_type = "sensor_msgs/msg/CompressedImage" if compressed else "sensor_msgs/msg/Image"
-        types = {"/camera": image_type, "/odom": "nav_msgs/msg/Odometry"} | ({"/rear": image_type} if second else {})
+    store, plugin = stores[first], rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+    of, serialize = store.types, store.serialize_ros1 if first else store.serialize_cdr
+    image_type = "sensor_msgs/msg/CompressedImage" if encoding == "jpeg" else "sensor_msgs/msg/Image"
+    types = {"/odom": "nav_msgs/msg/Odometry", **dict.fromkeys(cameras, image_type)}
+    with rosbag1.Writer(path) if first else rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
         connections = {topic: writer.add_connection(topic, name, typestore=store) for topic, name in types.items()}
         for number in range(10):
             stamp = of["builtin_interfaces/msg/Time"](number, 0)
@@ -186,28 +179,24 @@ def write_bag(path, stores, kind, encoding="rgb8", second=False):
             pose = of["geometry_msgs/msg/PoseWithCovariance"](of["geometry_msgs/msg/Pose"](point, turn), np.zeros(36))
             zero = of["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
             twist = of["geometry_msgs/msg/TwistWithCovariance"](of["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36))
-            pixels = picture(10 * number)
-            if compressed:
-                buffer = io.BytesIO()
-                Image.fromarray(pixels).save(buffer, "JPEG")
-                image = of[image_type](header, "jpeg", np.frombuffer(buffer.getvalue(), np.uint8))
-            else:
-                data = pixels[..., ::-1] if encoding == "bgr8" else pixels
-                step = 3 * WIDE
-                image = of[image_type](header, HIGH, WIDE, encoding, 0, step, np.ascontiguousarray(data).reshape(-1))
             odometry = of["nav_msgs/msg/Odometry"](header, "base", pose, twist)
-            for topic, message in (("/odom", odometry), ("/camera", image), ("/rear", image)):
-                if topic in connections:
-                    serialize = store.serialize_ros1 if first else store.serialize_cdr
-                    at = 10**9 + number * 5 * 10**8 - (topic == "/odom")
-                    writer.write(connections[topic], at, serialize(message, types[topic]))
+            pixels = picture(10 * number)
+            if encoding == "jpeg":
+                Image.fromarray(pixels).save(buffer := io.BytesIO(), "JPEG")
+                image = of[image_type](header, encoding, np.frombuffer(buffer.getvalue(), np.uint8))
+            else:
+                data = np.ascontiguousarray(pixels[..., ::-1] if encoding == "bgr8" else pixels).reshape(-1)
+                image = of[image_type](header, HIGH, WIDE, encoding, 0, 3 * WIDE, data)
+            for topic, connection in connections.items():
+                at = 10**9 + number * 5 * 10**8 - (topic == "/odom")
+                writer.write(connection, at, serialize(odometry if topic == "/odom" else image, types[topic]))
     return path
 
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(("kind", "encoding"), [("bag", "rgb8"), ("sqlite", "bgr8"), ("mcap", "jpeg")])
-def test_bags_of_ros_1_and_2_are_read_with_their_odometry(tmp_path, store, kind, encoding):
-    path = write_bag(tmp_path / ("walk.bag" if kind == "bag" else "walk"), store, kind, encoding)
+def test_bags_of_ros_1_and_2_are_read_with_their_odometry(tmp_path, stores, kind, encoding):
+    path = write_bag(tmp_path / ("walk.bag" if kind == "bag" else "walk"), stores, kind, encoding)
     paths = [path, *path.glob("*.mcap")] if path.is_dir() else [path]
     for one in paths:
         frames = list(Recording(one, every=1.0))
@@ -217,12 +206,12 @@ def test_bags_of_ros_1_and_2_are_read_with_their_odometry(tmp_path, store, kind,
 
 
 @pytest.mark.usefixtures("here")
-def test_of_several_topics_one_is_chosen_and_what_is_no_bag_is_refused(tmp_path, store):
-    path = write_bag(tmp_path / "walk", store, "mcap", second=True)
+def test_of_several_topics_one_is_chosen_and_what_is_no_bag_is_refused(tmp_path, stores):
+    path = write_bag(tmp_path / "walk", stores, "mcap", cameras=("/camera", "/rear"))
     refused("choose topic= of /camera, /rear", lambda: list(Recording(path)))
     assert len(list(Recording(path, topic="/rear"))) == 5
     refused("has no topic /front of Image .*; it has /camera", lambda: list(Recording(path, topic="/front")))
     (tmp_path / "cut.mcap").write_bytes(next(path.glob("*.mcap")).read_bytes()[:500])
     refused("is no bag that is read", Recording, tmp_path / "cut.mcap")
-    odd = write_bag(tmp_path / "odd", store, "sqlite", "32FC1")
+    odd = write_bag(tmp_path / "odd", stores, "sqlite", "32FC1")
     refused("encoding 32FC1", lambda: list(Recording(odd)))
