@@ -8,9 +8,6 @@ from dirl.models import PlanningMemory
 from dirl.models.planning import LAST, SURE
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
-QUARTERS = torch.tensor([4])
-"""Turns in a full circle of one agent."""
-
 NOWHERE = torch.zeros(1, 4, dtype=torch.bool)
 LIKES_ROOM = -torch.tensor(
     [[[4.0, 0.0, 0.0, 1.0], [3.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 4.0], [0.0, 0.0, 0.0, 3.0]]]
@@ -23,12 +20,13 @@ def at(walked, node=None):
     return (torch.arange(walked.cost.shape[1]) == (-1 if node is None else node)).unsqueeze(0)
 
 
-def walk(memory, *steps):
-    """What one agent knows that took an action and came to a known node, or to a new place if None."""
-    walked = memory.arrive(memory.begin(QUARTERS), at(memory.begin(QUARTERS)), LIKES_ROOM, NOWHERE)
+def walk(memory, *steps, likes=LIKES_ROOM, goal=NOWHERE, turns=4):
+    """What one agent knows that sees its goal at first, and comes by actions to known nodes, or new places if None."""
+    walked = memory.begin(torch.tensor([turns]))
+    walked = memory.arrive(walked, at(walked), likes, goal)
     for action, node in steps:
         walked.action = torch.tensor([action])
-        walked = memory.arrive(walked, at(walked, node), LIKES_ROOM, NOWHERE)
+        walked = memory.arrive(walked, at(walked, node), likes, NOWHERE)
     return walked
 
 
@@ -76,7 +74,7 @@ def test_a_blocked_way_is_not_tried_again_and_moves_count_in_both_directions():
 
 def test_a_goal_that_was_seen_is_walked_to_and_not_where_the_agent_did_not_stop():
     memory, seen = PlanningMemory(), torch.tensor([[True, False, True, False]])
-    walked = memory.arrive(memory.begin(QUARTERS), at(memory.begin(QUARTERS)), LIKES_ROOM, seen)
+    walked = walk(memory, goal=seen)
     assert walked.goal.tolist() == [[False, False, True, False]]
     plan = memory.plan(walked)[0]
     assert plan[[RIGHT, LEFT]].tolist() == [-2 * SURE, -2 * SURE]
@@ -109,13 +107,9 @@ def test_what_was_done_is_no_guess_and_a_guess_is_tried_when_nothing_else_is_lef
 
 
 def test_nothing_is_guessed_of_moves_that_no_arrow_shows():
-    memory = PlanningMemory()
     shown = LIKES_ROOM.clone()
     shown[:, :, BACK] = math.inf
-    walked = memory.begin(QUARTERS)
-    walked = memory.arrive(walked, at(walked), shown, NOWHERE)
-    walked.action = torch.tensor([AHEAD])
-    walked = memory.arrive(walked, at(walked), shown, NOWHERE)
+    walked = walk(PlanningMemory(), (AHEAD, None), likes=shown)
     assert walked.after[0, 0, AHEAD] == 4
     assert walked.after[0, 4, BACK] == -1
     assert walked.after[0, 6, AHEAD] == 2
@@ -123,14 +117,8 @@ def test_nothing_is_guessed_of_moves_that_no_arrow_shows():
 
 def test_smaller_turns_are_not_known_until_one_was_taken_and_then_they_are_from_all_four_views():
     """Turns of 45 degrees: right, back, and right twice, which leads to the next view of the first place."""
-    memory = PlanningMemory()
-    walked = memory.begin(torch.tensor([8]))
-    walked = memory.arrive(walked, at(walked), LIKES_ROOM, NOWHERE)
-    assert (walked.after == -1).all()
-    for action, node in ((RIGHT, None), (LEFT, 0), (RIGHT, 4), (RIGHT, 1)):
-        walked.action = torch.tensor([action])
-        walked = memory.arrive(walked, at(walked, node), LIKES_ROOM, NOWHERE)
-    after = walked.after[0]
+    assert (walk(PlanningMemory(), turns=8).after == -1).all()
+    after = walk(PlanningMemory(), (RIGHT, None), (LEFT, 0), (RIGHT, 4), (RIGHT, 1), turns=8).after[0]
     assert after[:4, RIGHT].tolist() == [4, 5, 6, 7]
     assert after[4:8, LEFT].tolist() == [0, 1, 2, 3]
     assert after[4:8, RIGHT].tolist() == [1, 2, 3, 0]
@@ -158,14 +146,12 @@ def test_in_a_panorama_small_turns_are_known_and_so_is_the_goal_that_no_quarter_
     ("turns", "view", "action", "way"), [(8, 1, RIGHT, 1), (12, 3, LEFT, 1), (8, 2, RIGHT, 2), (12, 2, RIGHT, 2)]
 )
 def test_at_the_place_of_the_goal_an_agent_turns_until_it_faces_it_however_small_the_turns(turns, view, action, way):
-    memory, seen, nothing = PlanningMemory(), NOWHERE.clone(), NOWHERE
-    seen[0, view] = True
-    walked = memory.begin(torch.tensor([turns]))
-    walked = memory.arrive(walked, at(walked), LIKES_ROOM, seen)
+    memory = PlanningMemory()
+    walked = walk(memory, goal=torch.arange(4).unsqueeze(0) == view, turns=turns)
     for turn in range(1, way * turns // 4):
         assert memory.plan(walked)[0].argmax() == action
         walked.action = torch.tensor([action])
         further = turn % (turns // 4)  # of those between the first view and the second; they were seen before that
         known = None if turn < turns // 4 else (view // 2 if further == 0 else 4 * further + 1)
-        walked = memory.arrive(walked, at(walked, known), LIKES_ROOM, nothing)
+        walked = memory.arrive(walked, at(walked, known), LIKES_ROOM, NOWHERE)
     assert memory.plan(walked)[0].argmax() == action
