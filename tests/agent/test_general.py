@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from shown_goals import walk_until_stop
 
 from dirl import Navigator
 from dirl.config.schemas import ConfigError
@@ -11,7 +12,7 @@ from dirl.models import LocalisingMemory
 from dirl.perception.backbones import load_encoder
 from dirl.perception.recognition import Learned
 from dirl.runs.checkpoints import PRETRAINED, load_checkpoint
-from dirl.scenes import load_scenes
+from dirl.scenes import load_scenes, make_world
 from dirl.training.build import load_trained
 
 
@@ -53,24 +54,21 @@ def navigator():
 
 def test_it_finds_photos_in_a_room_it_was_not_trained_in_and_needs_no_option(navigator):
     """From up to twelve actions away in the built-in bathroom, on raw images; with its own encoder and memory."""
-    scene = load_scenes("bathroom_02")[0]
+    world = make_world(load_scenes("bathroom_02"))
+    views = world.scenes[0].views
+
+    def act(state):
+        return navigator.act(np.stack([views[seen] for seen in world.surrounding[state]]))
+
     assert isinstance(navigator.recogniser, Learned)
     assert isinstance(navigator.memory, LocalisingMemory)
-    for goal in range(8, len(scene), 32):
-        navigator.reset(scene.views[goal])
+    for goal in range(8, len(world), 32):
+        navigator.reset(views[goal])
         state, rng = goal, np.random.default_rng(goal)
         for _ in range(12):
-            state = after(scene, state, rng.integers(4))
-        assert walked(navigator, scene, state) == (goal, True)
-
-
-def test_it_finds_a_photo_beside_whose_place_another_looks_alike(navigator):
-    """From three steps away in the built-in bathroom; by views of 400 pixels across it stopped half a metre aside."""
-    scene = load_scenes("bathroom_02")[0]
-    goal = 26
-    state = int(np.nonzero(scene.distances[scene.goals.index(goal)] == 3)[0][0])
-    navigator.reset(scene.views[goal])
-    assert walked(navigator, scene, state) == (goal, True)
+            state = int(world.graph[state, rng.integers(4)])
+        walked, stopped = walk_until_stop(act, world, state, 20)
+        assert (walked[-1], stopped) == (goal, True)
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -85,18 +83,3 @@ def test_it_sees_the_same_by_an_encoder_that_was_loaded(fine):
         seen.append(navigator.act(views[4:]).scores)
     assert (seen[0].matching == seen[1].matching) == fine
     torch.testing.assert_close(seen[0].probabilities, seen[1].probabilities)
-
-
-def walked(navigator, scene, state):
-    """Where a navigator is after up to twenty actions, and whether it has stopped there."""
-    for _ in range(20):
-        decision = navigator.act(np.stack([scene.views[seen] for seen in scene.surrounding[state]]))
-        if decision.stop:
-            break
-        state = after(scene, state, int(decision.action))
-    return state, decision.stop
-
-
-def after(scene, state, action):
-    """Where an action leads, which may be blocked."""
-    return state if scene.graph[state, action] < 0 else int(scene.graph[state, action])

@@ -80,14 +80,13 @@ def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, monkeypatc
     assert memory is not None or (episodes.success.any() and episodes.false_stop.any() and not ended.all())
     around = torch.arange(len(world)) if "observation=sequential" in options else world.surrounding
     around = world.panoramas() if "panorama" in shown else around
-    open_moves = world.graph != torch.arange(len(world)).unsqueeze(1)
     navigators = [
         load(tmp_path, world, turns=8 if "arrows" in shown else 4, scene=None if "heads=shared" in options else name)
         for name in world.names
     ]
 
     def act(state):
-        possible = open_moves[around[state]] if "arrows" in shown else None
+        possible = world.possible[around[state]] if "arrows" in shown else None
         return navigator.act(images_of(around[state]), possible=possible)
 
     for episode, path in enumerate(paths):
