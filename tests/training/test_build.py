@@ -4,10 +4,11 @@ from collections import Counter
 
 import pytest
 import torch
-from commands import TINY, done, room_file, train_config
+from commands import room_file, train_config
 from parts import make_parts
 from refusals import refused
 from rooms import grid_scene
+from shown_goals import trained
 
 from dirl.agent.decisions import observe
 from dirl.envs import SurroundingViews
@@ -74,29 +75,20 @@ def test_a_policy_of_more_than_the_present_views_cannot_plan_nor_one_without_pat
     refused("grid has none; encode it again by scenes.py encode", make_parts, *options, "system=any_goal")
 
 
-SHAPES = {"left": (3, 2), "right": (2, 3)}
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    """A folder with dumps of two rooms and a run that was trained in both."""
-    folder = tmp_path_factory.mktemp("two")
-    for seed, (name, shape) in enumerate(SHAPES.items()):
-        write_dump(folder / f"{name}.h5", grid_scene(*shape, name=name, goals=(0, 5), feature_width=64, seed=seed))
-    scenes = ",".join(str(folder / f"{name}.h5") for name in SHAPES)
-    done(folder, "train", f"scene=[{scenes}]", *TINY, "hydra.run.dir=run")
-    return folder
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_a_policy_of_two_scenes_decides_by_the_layers_of_the_one_it_is_in(trained, name):
-    saved = load_checkpoint(trained / "run")
+def test_a_policy_of_two_scenes_decides_by_the_layers_of_the_one_it_is_in(tmp_path):
+    rooms = [grid_scene(3, 2, name="left", feature_width=64), grid_scene(2, 3, name="right", feature_width=64, seed=1)]
+    files = [str(tmp_path / f"{room.name}.h5") for room in rooms]
+    for file, room in zip(files, rooms, strict=True):
+        write_dump(file, room)
+    trained(tmp_path / "run", make_world(rooms), f"scene=[{','.join(files)}]")
+    saved = load_checkpoint(tmp_path / "run")
     _, both, protocol = load_trained(saved, "run")
-    _, one, alone = load_trained(saved, "run", {"scene": str(trained / f"{name}.h5")})
-    whole, part = protocol.run(both), alone.run(one)
-    inside = whole.select(protocol.world.scene_of[whole.start] == protocol.world.names.index(name))
-    for field in ("steps", "success", "shortest"):
-        assert torch.equal(getattr(inside, field), getattr(part, field))
+    whole = protocol.run(both)
+    for number, file in enumerate(files):
+        _, one, alone = load_trained(saved, "run", {"scene": file})
+        inside, part = whole.select(protocol.world.scene_of[whole.start] == number), alone.run(one)
+        for field in ("steps", "success", "shortest"):
+            assert torch.equal(getattr(inside, field), getattr(part, field))
 
 
 class OnlyAhead(SurroundingViews):
