@@ -9,69 +9,63 @@ from dirl.perception.recognition import Learned
 from dirl.scenes import make_world
 
 
-def changing(patches=True):
-    size = {"feature_width": 32, "patches": patches, "looks": 2, "noise": 0.8}
+@pytest.fixture(params=[True])
+def world(request):
+    """Rooms that look otherwise at each visit, with patches of that kind."""
+    size = {"feature_width": 32, "patches": request.param, "looks": 2, "noise": 0.8}
     return make_world([grid_scene(4, 3, name=f"room_{seed}", seed=seed, **size) for seed in range(2)])
 
 
-def untrained(world):
+@pytest.fixture
+def network(world):
     torch.manual_seed(0)
-    network = Learned(weights="")
-    network.measure(world.features, world.patches)
-    return network.eval()
+    untrained = Learned(weights="")
+    untrained.measure(world.features, world.patches)
+    return untrained.eval()
 
 
-def visits(world, network, count=6):
-    ids = world.surrounding[:count]
-    return network.describe(world.features[ids], world.patches[ids])
+@pytest.fixture
+def visits(world, network):
+    """What is seen in each state."""
+    return network.describe(world.features[world.surrounding], world.patches[world.surrounding])
 
 
-def test_a_turn_of_both_visits_changes_nothing_and_a_turn_of_one_does():
-    world = changing()
-    network = untrained(world)
-    seen, reference = visits(world, network).split(3)
+def test_a_turn_of_both_visits_changes_nothing_and_a_turn_of_one_does(network, visits):
+    seen, reference = visits[:6].split(3)
     found = network.log_odds(seen, reference)
     turned = network.log_odds(seen.roll(1, 1), reference.roll(1, 1))
     torch.testing.assert_close(found, turned, atol=1e-5, rtol=0)
     assert not torch.allclose(found, network.log_odds(seen.roll(1, 1), reference), atol=1e-3)
 
 
-def test_panoramas_are_compared_by_all_that_pooled_features_tell_of_a_place():
+def test_panoramas_are_compared_by_all_that_pooled_features_tell_of_a_place(world, network, visits):
     """Their principal components are not whitened: scalar products are those of the centred features."""
-    world = changing()
-    network = untrained(world)
-    whole = network.whole(visits(world, network))
+    whole = network.whole(visits[:6])
     centred = world.features[world.surrounding[:6]] - network.mean
     torch.testing.assert_close(whole @ whole.mT, centred @ centred.mT, atol=1e-3, rtol=1e-3)
 
 
-def test_scores_are_the_log_odds_of_every_two_in_blocks_of_any_size(monkeypatch):
-    world = changing()
-    network = untrained(world)
-    seen, references = visits(world, network, 5), visits(world, network, 7)
+def test_scores_are_the_log_odds_of_every_two_in_blocks_of_any_size(network, visits, monkeypatch):
+    seen, references = visits[:5], visits[:7]
     wanted = torch.stack([torch.stack([network.log_odds(a, b) for b in references]) for a in seen])
     torch.testing.assert_close(network.scores(seen, references), wanted, atol=1e-5, rtol=0)
     monkeypatch.setattr("dirl.perception.recognition.learned.PAIRS_AT_ONCE", 10)
     torch.testing.assert_close(network.scores(seen, references), wanted, atol=1e-5, rtol=0)
 
 
-def test_a_photo_is_compared_with_the_views_beside_it_too():
-    world = changing()
-    network = untrained(world)
-    seen, photo = visits(world, network, 1), visits(world, network, 2)[1:, :1]
+def test_a_photo_is_compared_with_the_views_beside_it_too(network, visits):
+    seen, photo = visits[:1], visits[1:2, :1]
     beside = seen.clone()
-    beside[:, 3] = visits(world, network, 4)[3, 3]  # the view on the left
+    beside[:, 3] = visits[3, 3]  # the view on the left
     assert network.log_odds(seen, photo) != network.log_odds(beside, photo)
     behind = seen.clone()
     behind[:, 2] = beside[:, 3]
     assert network.log_odds(seen, photo) == network.log_odds(behind, photo)
 
 
-def test_what_has_no_fine_patches_is_compared_by_its_cells():
-    world = changing(patches="fine")
-    network = untrained(world)
-    ids = world.surrounding
-    seen, few = (network.describe(world.features[ids], part(world.patches[ids])) for part in (torch.clone, coarse))
+@pytest.mark.parametrize("world", ["fine"], indirect=True)
+def test_what_has_no_fine_patches_is_compared_by_its_cells(world, network, visits):
+    seen, few = visits, network.describe(world.features[world.surrounding], coarse(world.patches[world.surrounding]))
     torch.testing.assert_close(network.scores(seen, seen), network.scores(few, few), atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(network.scores(few, few[:, :1]), network.scores(seen, few[:, :1]), atol=1e-4, rtol=1e-4)
 
@@ -96,11 +90,11 @@ def test_a_view_that_shows_nothing_is_no_evidence_that_a_photo_was_taken_elsewhe
     assert network.scores(described.roll(1, 1), described[:1, :1]).isfinite().all()  # aside it is
 
 
-def test_weights_that_cannot_be_used_are_named(tmp_path):
+def test_weights_that_cannot_be_used_are_named(network, tmp_path):
     junk, none = tmp_path / "junk.pt", tmp_path / "none.pt"
     junk.write_bytes(b"junk")
     reasons = {none: "there is no such file$", junk: "torch cannot read it as weights"}
-    short = {name: value[..., :1] for name, value in untrained(changing()).state_dict().items()}
+    short = {name: value[..., :1] for name, value in network.state_dict().items()}
     for reason, stored in {"is no state_dict": [1, 2], "are weights of another network": short}.items():
         torch.save(stored, tmp_path / reason)
         reasons[tmp_path / reason] = reason
