@@ -28,16 +28,12 @@ def test_what_are_no_weights_of_a_resnet_50_is_named_with_the_first_wrong_parame
         load_backbone(path)
     # Each array is one number repeated, so that the file is small.
     weights = {name: torch.full((), 0.01).expand(value.shape) for name, value in ResNet50().state_dict().items()}
+    lacking = {name: value for name, value in weights.items() if not name.startswith("layer2.1")}
     wrong = {
         "is no state_dict": {"epoch": 3},
-        'are no weights of a ResNet-50 .*Missing key.*"layer2.1.conv1.weight"': {
-            name: value for name, value in weights.items() if not name.startswith("layer2.1")
-        },
+        'are no weights of a ResNet-50 .*Missing key.*"layer2.1.conv1.weight"': lacking,
         f"are no weights of a ResNet-50 .*size mismatch for {first}": {**weights, first: torch.zeros(128, 64, 1, 1)},
-        'are no weights of a ResNet-50 .*Unexpected key.*"layer3.6.conv1.weight"': {
-            **weights,
-            "layer3.6.conv1.weight": torch.zeros(1),
-        },
+        'are no weights of a ResNet-50 .*Unexpected key.*"layer3.6"': {**weights, "layer3.6": torch.zeros(1)},
     }
     for problem, content in wrong.items():
         torch.save(content, path)

@@ -11,7 +11,7 @@ from refusals import refused
 from dirl.scenes import PUBLISHED_GOALS
 from dirl.scenes.catalogue import ROOMS
 from dirl.scenes.graph import AHEAD, BACK
-from dirl.sources.rooms import built_in_rooms, describe_room, description_text, read_description
+from dirl.sources.rooms import built_in_rooms, check_room, describe_room, description_text, read_description
 from dirl.sources.rooms.description import parse_description
 from dirl.sources.rooms.dump import scene_of
 from dirl.sources.rooms.layout import assemble
@@ -53,8 +53,9 @@ def test_materials_and_colours_that_are_none_are_named():
 
 
 @pytest.mark.parametrize("name", built_in_rooms())
-def test_a_built_in_room_has_the_graph_that_is_shipped(name):
+def test_a_built_in_room_has_no_problems_and_the_graph_that_is_shipped(name):
     room = describe_room(name)
+    assert check_room(room) == []
     assert parse_description(description_text(room)) == room
     assert (room.name, room.goals) == (name, PUBLISHED_GOALS[name])
     way = walk(room)
