@@ -15,7 +15,7 @@ from dirl.envs import NavigationEnv, SequentialViews, SurroundingViews
 from dirl.evaluation.episodes import RandomPolicy, every_start
 from dirl.scenes import make_world
 from dirl.scenes.goals import choose_goals
-from dirl.scenes.graph import places
+from dirl.scenes.graph import AHEAD, BACK, places
 
 
 def hall(**changes):
@@ -32,15 +32,6 @@ def scenes(scene):
 @pytest.fixture
 def world(scenes):
     return make_world(scenes)
-
-
-def test_scenes_lie_one_behind_the_other(world, scenes):
-    assert len(world) == 24 + 32 + 24
-    assert world.offsets == (0, 24, 56)
-    assert world.scene_of.tolist() == [0] * 24 + [1] * 32 + [2] * 24
-    assert world.names == ("grid", "hall", "closet")
-    expected = [scene.surrounding + offset for scene, offset in zip(scenes, world.offsets, strict=True)]
-    assert world.surrounding.tolist() == np.concatenate(expected).tolist()
 
 
 def test_panoramas_are_the_states_after_each_turn_right_if_all_scenes_have_as_many(world):
@@ -187,31 +178,21 @@ def test_scenes_have_rules_of_their_own(scene):
 
 
 def test_states_that_not_all_others_reach_are_no_goals():
-    hall = grid_scene(width=4, depth=3, name="grid", goals=(5,), blocked=[(2, 0), (2, 1), (2, 2), (3, 2)])
-    chosen = choose_goals([hall], "all")
-    reached_from = (hall.distances >= 0).sum(0)
+    divided = hall(name="grid")
+    chosen = choose_goals([divided], "all")
+    reached_from = (divided.distances >= 0).sum(0)
     assert reached_from.min() < reached_from.max()
     assert states(chosen).tolist() == np.flatnonzero(reached_from == reached_from.max()).tolist()
     assert chosen.left_out == {"grid": tuple(np.flatnonzero(reached_from < reached_from.max()).tolist())}
 
 
-def with_a_sink(hall):
-    """The same scene with a further place that its first state leads to, and that has no way back."""
-    graph = np.concatenate([hall.graph, hall.graph[:4] + len(hall)])
-    graph[len(hall) :, [0, 3]] = -1
-    graph[0, 3] = len(hall)
-    grown = {name: np.concatenate([getattr(hall, name), getattr(hall, name)[:4]]) for name in ("positions", "headings")}
-    features = np.random.default_rng(1).random((len(graph), hall.features.shape[1]), np.float32)
-    return replace(hall, graph=graph, features=features, **grown)
-
-
-def test_a_place_that_one_cannot_leave_takes_no_goals_from_the_others():
-    hall = with_a_sink(grid_scene(width=3, depth=2, name="grid", goals=(5,)))
-    assert (hall.distances[24:, :24] < 0).all()
-    chosen = choose_goals([hall], "all", hold_out=0.3, seed=1)
+def test_a_place_that_one_cannot_leave_takes_no_goals_from_the_others(scene):
+    graph = scene.graph.copy()
+    graph[:4, [AHEAD, BACK]] = -1
+    chosen = choose_goals([replace(scene, graph=graph)], "all", hold_out=0.3, seed=1)
     assert not chosen.left_out
-    assert len(chosen.held_out["grid"]) == 8  # two of seven places
-    assert len(states(chosen)) == 28 - 8
+    assert len(chosen.held_out["grid"]) == 8  # two of six places
+    assert len(states(chosen)) == 24 - 8
 
 
 def test_rules_that_cannot_be_used_are_named(scene):

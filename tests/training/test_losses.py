@@ -42,15 +42,11 @@ def test_an_update_tells_the_episodes_that_ended_in_it_in_their_order(room):
     batch, env = rollout(parts)
     losses = parts.losses(batch.reshape(-1), 1.0)
     (update,) = report(env, batch, losses).read()
-    goals, steps = [], []
-    for step in range(20):
-        for agent in range(30):
-            if batch[agent, step]["next", "done"]:
-                goals.append(parts.world.goals.tolist().index(batch[agent, step]["goal"]))
-                steps.append(batch[agent, step]["next", "step_count"].item())
+    ended = batch.transpose(0, 1)[batch["next", "done"].squeeze(-1).T]  # step by step, agent by agent
+    goals = [parts.world.goals.tolist().index(goal) for goal in ended["goal"].tolist()]
     assert update.frames == 600
     assert len(set(goals)) > 1
-    assert (update.goal_index, update.steps) == (goals, steps)
+    assert (update.goal_index, update.steps) == (goals, ended["next", "step_count"].flatten().tolist())
     assert update.values["loss_objective"] == losses["loss_objective"].item()
     target, value = (batch[key].flatten().double() for key in ("value_target", "state_value"))
     explained = 1 - (target - value).var().item() / target.var().item()

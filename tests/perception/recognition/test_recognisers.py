@@ -114,16 +114,10 @@ def test_ncc_with_a_constant_vector_is_zero():
 def test_scores_are_the_coefficients_of_every_goal_with_every_state(match, world):
     scores = TemplateStop(match=match).scores(world)
     assert scores.shape == (2 * 8,)
-    for index, goal in enumerate(world.goals.tolist()):
-        for state in range(8 * index, 8 * index + 8):
-            # Of a state in a grid the views are its own and those of the next headings of its place.
-            place, heading = divmod(state, 4)
-            goal_place, goal_heading = divmod(goal, 4)
-            turns = range(4) if match == "views" else range(1)
-            here = torch.cat([world.features[4 * place + (heading + turn) % 4] for turn in turns])
-            there = torch.cat([world.features[4 * goal_place + (goal_heading + turn) % 4] for turn in turns])
-            score = scores[world.pair(torch.tensor(index), torch.tensor(state))]
-            assert score.item() == pytest.approx(np.corrcoef(here, there)[0, 1], abs=1e-5)
+    views = world.features[world.surrounding[:, : 4 if match == "views" else 1]].flatten(1)
+    for index, goal in enumerate(world.goals):
+        expected = [np.corrcoef(views[goal], views[state])[0, 1] for state in range(8 * index, 8 * index + 8)]
+        assert world.block(scores, index).tolist() == pytest.approx(expected, abs=1e-5)
 
 
 def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
