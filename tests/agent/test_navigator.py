@@ -1,9 +1,11 @@
 import pickle
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from commands import train_config
 from odds import Odds
 from PIL import Image
 from refusals import refused
@@ -15,12 +17,12 @@ from dirl.agent.decisions import observe
 from dirl.agent.navigator import UNRECOGNISED
 from dirl.agent.onnx import export_onnx
 from dirl.evaluation.episodes import every_start
-from dirl.evaluation.protocol import EvaluationProtocol
-from dirl.models import LocalisingMemory, PlanningMemory
+from dirl.models import PlanningMemory
 from dirl.perception.recognition import NCC, Learned, Thresholds
-from dirl.perception.recognition.recogniser import TemplateStop, VisitScores
+from dirl.perception.recognition.recogniser import TemplateStop
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes import Action, make_world
+from dirl.training.build import build_protocol
 
 
 def load(folder, world, **options):
@@ -40,60 +42,58 @@ def run(tmp_path_factory, world):
     return folder
 
 
-FRONT = "goal_view=front"
+FRONT, TOUR = "goal_view=front", "a panorama and the arrows of a tour"
 
 
 @pytest.mark.parametrize(
-    ("options", "memory", "shown"),
+    "options",
     [
-        (["heads=shared"], None, {}),
-        (["memory=gru", "memory.hidden_size=20"], None, {}),
-        (["observation=sequential", "stop.match=front"], None, {}),
-        (["episodic_memory=planning", "episodic_memory.repeated=1"], PlanningMemory(repeated=1.0), {}),
-        ([FRONT, "episodic_memory=planning", "episodic_memory.turn=0.3"], PlanningMemory(turn=0.3), {}),
-        (["episodic_memory=planning"], PlanningMemory(), {"panorama": True, "arrows": True}),
-        ([FRONT, "episodic_memory=localising"], LocalisingMemory(), {}),
-        ([FRONT, "episodic_memory=localising", "+policy.locates=3"], LocalisingMemory(), {}),
-        (["episodic_memory=localising", "+policy.locates=3"], LocalisingMemory(), {}),
+        ["heads=shared"],
+        ["memory=gru", "memory.hidden_size=20"],
+        ["observation=sequential", "stop.match=front"],
+        ["episodic_memory=planning", "episodic_memory.repeated=1"],
+        [FRONT, "episodic_memory=planning", "episodic_memory.turn=0.3"],
+        ["episodic_memory=planning", TOUR],
+        [FRONT, "episodic_memory=localising"],
+        [FRONT, "episodic_memory=localising", "+policy.locates=3"],
+        ["episodic_memory=localising", "+policy.locates=3"],
     ],
     ids=str,
 )
-def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, monkeypatch, options, memory, shown):
+def test_a_navigator_walks_and_stops_as_the_evaluation_does(tmp_path, monkeypatch, options):
     """One goal after the other: what it remembers ends with the next reset."""
-    match = "front" if "stop.match=front" in options or FRONT in options else "views"
-    if memory is None:
-        world, most, threshold = rooms(("grid", "other.room")), 12, 0.1  # for false stops among random features
+    remembers, tour = "episodic_memory" in "".join(options), TOUR in options
+    if remembers:
+        place = {"headings": 8, "goals": (9,), "blocked": [(0, 1)]} if tour else {"goals": (0, 13)}
+        world, most = make_world([grid_scene(3, 2, **place)]), 25
     else:
-        place = {"headings": 8, "goals": (9,), "blocked": [(0, 1)]} if shown else {"goals": (0, 13)}
-        world, most, threshold = make_world([grid_scene(3, 2, **place)]), 25, 0.95 if match == "front" else 0.9
+        world, most = rooms(("grid", "other.room")), 12
+        options = [*options, "stop.threshold=0.1"]  # for false stops among random features
+    if "episodic_memory=localising" in options:
+        for module in ("agent.loading", "training.build"):
+            monkeypatch.setattr(f"dirl.{module}.build_recogniser", lambda *_: Odds())
+    options = [option for option in options if option != TOUR]
     policy, seen = trained(tmp_path, world, *options)
-    stop = TemplateStop(threshold, match)
-    if isinstance(memory, LocalisingMemory):
-        recogniser = Odds()
-        monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: recogniser)
-        stop = TemplateStop(match=match, recogniser=recogniser).compared
-        shown = {"scores": VisitScores(recogniser, world)}
     starts = tuple(part[::3] for part in every_start(world))
-    protocol = EvaluationProtocol(world, seen, starts, max_steps=most, memory=memory, stop=stop(world), **shown)
+    protocol = build_protocol(train_config(*options, f"evaluation.max_steps={most}"), world, seen)
+    protocol = replace(protocol, starts=starts, panorama=tour, arrows=tour)
     episodes, paths = protocol.trajectories(policy, starts)
     ended = episodes.success | episodes.false_stop
-    assert memory is not None or (episodes.success.any() and episodes.false_stop.any() and not ended.all())
+    assert remembers or (episodes.success.any() and episodes.false_stop.any() and not ended.all())
     around = torch.arange(len(world)) if "observation=sequential" in options else world.surrounding
-    around = world.panoramas() if "panorama" in shown else around
+    around = world.panoramas() if tour else around
     navigators = [
-        load(tmp_path, world, turns=8 if "arrows" in shown else 4, scene=None if "heads=shared" in options else name)
+        load(tmp_path, world, turns=8 if tour else 4, scene=None if "heads=shared" in options else name)
         for name in world.names
     ]
 
     def act(state):
-        possible = world.possible[around[state]] if "arrows" in shown else None
-        return navigator.act(images_of(around[state]), possible=possible)
+        return navigator.act(images_of(around[state]), possible=world.possible[around[state]] if tour else None)
 
     for episode, path in enumerate(paths):
         navigator, goal = navigators[world.scene_of[path[0]]], int(world.goals[starts[0][episode]])
-        if memory is None:
-            navigator.threshold = threshold
-        navigator.reset(images_of(goal if match == "front" else world.surrounding[goal]))
+        photo = FRONT in options or "stop.match=front" in options
+        navigator.reset(images_of(goal if photo else world.surrounding[goal]))
         walked, stopped = walk_until_stop(act, world, path[0], most)
         assert walked == path
         assert stopped == bool(ended[episode])

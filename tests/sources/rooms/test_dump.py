@@ -23,12 +23,9 @@ from dirl.scenes.io.files import PREFIX
 from dirl.sources.rooms import build_room, check_room, describe_room, read_description
 from dirl.sources.rooms.checks import check_views, contrast, thumbnail
 from dirl.sources.rooms.collect import RoomSettings, make_rooms, missing_rooms
-from dirl.sources.rooms.description import Material, Piece
+from dirl.sources.rooms.description import Piece
 from dirl.sources.rooms.dump import Changes, look_views
-from dirl.sources.rooms.light import direct_light, standpoints
-from dirl.sources.rooms.mesh import Mesh
 from dirl.sources.rooms.sampling.sample import LOOK, look_around
-from dirl.sources.rooms.scenery import Scenery
 from dirl.sources.rooms.view import Renderer
 from dirl.sources.rooms.walkable import walk
 
@@ -100,7 +97,7 @@ def test_the_bathroom_is_built_the_same_on_this_machine():
     room = describe_room("bathroom_02")
     way, renderer = walk(room), Renderer.of(room, fine=False)
     stored = sorted(REFERENCES.glob("*.png"))
-    assert len(stored) == 6
+    assert len(stored) == 3
     for file in stored:
         place, heading = divmod(int(file.stem), 4)
         with Image.open(file) as image:
@@ -129,28 +126,6 @@ def test_each_error_changes_the_views_and_more_of_it_more():
     brightness = (some.mean((1, 2, 3)) / planned.mean((1, 2, 3))).reshape(-1, 4)
     assert brightness.std(1).max() < 0.05
     assert brightness.mean(1).std() > 0.05
-
-
-WHITE = Material("plain", {"color": "#ffffff", "var": 0.0}, rough=1.0, emit=2.0, resolution=8)
-
-
-def test_in_a_cube_that_shines_all_over_the_light_is_pi_times_the_radiance():
-    s, mesh = 2.0, Mesh()
-    for side in (
-        [(0, s, 0), (s, s, 0), (s, s, s), (0, s, s)],
-        [(s, 0, 0), (0, 0, 0), (0, 0, s), (s, 0, s)],
-        [(s, s, 0), (s, 0, 0), (s, 0, s), (s, s, s)],
-        [(0, 0, 0), (0, s, 0), (0, s, s), (0, 0, s)],
-        [(0, 0, 0), (s, 0, 0), (s, s, 0), (0, s, 0)],
-        [(0, 0, s), (0, s, s), (s, s, s), (s, 0, s)],
-    ):
-        mesh.quad(side, "white")
-    cube = Scenery([part.moved((0, 0, 0), 0, 1.0) for part in mesh.parts], {"white": WHITE}, edge=0.4)
-    origins, normals = standpoints(cube)
-    inside = ((origins > 0.3) & (origins < 1.7)).sum(1) == 2  # corners are darkened on purpose, to tame lamps there
-    light = direct_light(cube, origins, normals, 400, np.random.default_rng(0))[inside]
-    assert np.allclose(light.mean(), np.pi * 2.0, rtol=0.04)
-    assert light.std() < 0.1 * light.mean()
 
 
 PLAIN = RoomSettings(height=24, width=32, fine=False, encoder=None)
