@@ -16,14 +16,6 @@ from dirl.models.locator import FinePairs, GoalLocator
 from dirl.perception.backbones.patches import FINE_SHAPE, PATCH_SHAPE, coarse
 from dirl.scenes import make_world
 
-pytestmark = pytest.mark.quick
-
-
-@pytest.fixture(autouse=True)
-def no_gradients():
-    with torch.no_grad():
-        yield
-
 
 def locator(features=8):
     torch.manual_seed(0)

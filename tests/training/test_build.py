@@ -112,9 +112,8 @@ def test_a_cached_policy_sees_what_the_observation_shows_and_nothing_else(tmp_pa
 
 
 def pairs(world, **options):
-    shown = options.pop("shown", torch.ones(len(world), dtype=torch.bool))
-    observation = SurroundingViews(world, options.pop("goal_view", "surrounding"))
-    return DrawnPairs(world, ShortestPathExpert(world), observation, shown, **options)
+    shown = torch.ones(len(world), dtype=torch.bool)
+    return DrawnPairs(world, ShortestPathExpert(world), SurroundingViews(world), shown, **options)
 
 
 def test_pairs_are_drawn_by_goal_and_then_among_the_states_of_its_scene(world):
