@@ -37,11 +37,10 @@ def field_scene():
     return replace(scene, features=features, goals=(0, 17), extractor="colours", views=None)
 
 
-def make_env(agents=6, views=200, simulator=None, **options):
+def make_env(agents=6, views=200, **options):
     world = make_world([field_scene()])
     table = FeatureTable(world.features, room=views)
-    simulator = simulator or Field()
-    return LiveEnv(world, agents, simulator=simulator, encode=encode, table=table, views=views, **options)
+    return LiveEnv(world, agents, simulator=Field(), encode=encode, table=table, views=views, **options)
 
 
 def walk(env, steps, seed=0):
@@ -98,9 +97,8 @@ def test_the_views_seen_longest_ago_are_forgotten():
 
 
 def test_a_simulator_that_dies_is_one_line():
-    simulator = Field()
-    env = make_env(simulator=simulator)
-    simulator.look = lambda heading: 1 / 0
+    env = make_env()
+    env.simulator.look = lambda heading: 1 / 0
     refused(r"^field failed \(ZeroDivisionError: .*\); run the command again$", env.reset)
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from commands import train_config
-from networks import make_policy
+from networks import gradients, make_policy
 from rooms import grid_scene
 from tensordict import TensorDict
 from torchrl.envs import Compose, StepCounter, TransformedEnv
@@ -28,12 +28,6 @@ STATES, SCENES, ROWS = 20, ("a", "b"), 12
 @pytest.fixture
 def network():
     return make_policy(torch.randn(STATES, 6, generator=torch.Generator().manual_seed(0)), SCENES, width=16)
-
-
-def gradients(network, loss):
-    network.zero_grad()
-    loss.backward()
-    return {name: parameter.grad for name, parameter in network.named_parameters()}
 
 
 def made(name, network, *options):

@@ -36,13 +36,8 @@ def world():
 
 
 @pytest.fixture(scope="module")
-def scores(world):
-    return VisitScores(Odds(), world)
-
-
-@pytest.fixture(scope="module")
-def walks(world, scores):
-    return [map_scene(world, index, LocalisingMemory(), scores, 3) for index in range(2)]
+def walks(world):
+    return [map_scene(world, index, LocalisingMemory(), VisitScores(Odds(), world), 3) for index in range(2)]
 
 
 def test_a_walk_through_changing_rooms_makes_a_right_map_and_ends_by_itself(world, walks):
@@ -67,11 +62,12 @@ def test_turns_may_be_small_and_panoramas_seen_at_once(headings, panorama):
     known, passed = map_scene(world, 0, memory, scores, 4, panorama=panorama)
     assert map_quality(known, passed, world, 0) == (1, 1, 0)
     assert known.places.goal.shape[2] == (headings if panorama else 4)
-    protocol = protocol_of(world, scores, panorama=panorama)
-    assert metrics(protocol.run(indifferent()))["sr"] == 1
+    protocol = protocol_of(world, scores, goal_view="surrounding" if panorama else "front", panorama=panorama)
+    alone = metrics(protocol.run(indifferent()))
     found = metrics(replace(protocol, maps=[known]).run(indifferent()))
-    assert found["sr"] == 1
-    assert found["spl"] > (0.98 if panorama else 0.9)
+    assert alone["sr"] == found["sr"] == 1
+    assert found["spl"] > (0.98 if panorama else 0.9) > alone["spl"]
+    assert known.places.node.shape == (1, len(passed))  # episodes leave the map as it is
 
 
 class WholeOdds(Odds):
@@ -161,28 +157,9 @@ def test_places_that_later_visits_take_for_one_become_one():
         assert without_doubles(apart, odds).position.shape[1] == 3
 
 
-def test_who_is_carried_elsewhere_finds_the_place_on_the_map_again(world, scores, walks):
-    known, passed = walks[0]
-    mapper = ParticleMapper(LocalisingMemory(), scores.of_visits, known=known)
-    for visit in (10, 3):
-        node = mapper.see(world.surrounding[passed[visit]] + len(world))
-        assert node == int(known.places.node[0, visit])
-    assert mapper.frontier_action() is None  # nothing is left to be learnt
-    assert len(mapper.map()) == len(known)
-
-
 def test_particles_are_drawn_by_their_probabilities():
     drawn = resampled(torch.tensor([0.5, 0.0, 0.25, 0.25]), torch.Generator().manual_seed(0))
     assert drawn.tolist() == [0, 0, 2, 3]
-
-
-def test_episodes_with_a_map_go_straight_to_any_goal(world, scores, walks):
-    protocol = protocol_of(world, scores, goal_view="front")
-    alone = metrics(protocol.run(indifferent()))
-    found = metrics(replace(protocol, maps=[known for known, _ in walks]).run(indifferent()))
-    assert found["sr"] == 1
-    assert found["spl"] > 0.98 > 0.7 > alone["spl"]
-    assert walks[0][0].places.node.shape == (1, len(walks[0][1]))  # episodes leave the map as it is
 
 
 @pytest.fixture
