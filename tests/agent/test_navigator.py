@@ -162,15 +162,11 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
     assert navigator.act(images_of(around[3])).scores.matching != pytest.approx(decision.scores.matching)
 
 
-class Sure(NCC):
-    """Correlation with thresholds of its own."""
-
-    thresholds = Thresholds(0.9, 0.95, 0.95)
-
-
 def test_a_batch_with_a_memory_decides_as_each_alone(tmp_path, world, monkeypatch):
     """Also where some agents are at new places and others at known ones, each with a goal of its own."""
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Sure())
+    recogniser = NCC()
+    recogniser.thresholds = Thresholds(0.9, 0.95, 0.95)
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: recogniser)
     trained(tmp_path, world, "episodic_memory=planning")
     together, goals, states = load(tmp_path, world), [0, 13, 21], torch.tensor([5, 6, 7])
     alone = [load(tmp_path, world) for _ in goals]
