@@ -258,6 +258,8 @@ class Localising(Remembering):
     ) -> None:
         super().__init__(memory, guide)
         self.turns, self.known = turns, known
+        self.shown = torch.empty(0)
+        """Log odds that the goal is seen facing each view of this visit, before anything is added, ``[B, K]``."""
         self.belief: GoalBelief | None = None
         """Where the goals are; None where nobody tells, and with a map, which tells it."""
         self.before: Tensor | None = None
@@ -281,6 +283,7 @@ class Localising(Remembering):
         alike = self.remember(now)
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] if now.points is None else now.points
+        self.shown = odds
         if now.visit.shape[1] > VIEWS and self.known is None:  # a panorama
             doubt = self.doubt(alike)
             alike = alike - doubt[:, None, None]

@@ -267,11 +267,7 @@ class Navigator:
             action, logits = self.agent.act(now, generator, greedy=not sample)
             self._seen = now
             self._notice_strangeness(stop)
-            if isinstance(self.agent, Localising) and self.agent.seen is not None:
-                told = now.goal_odds(now.visit[:, None], self.agent.seen)[:, 0] if now.points is None else now.points
-                matching = told[:, 0]
-            else:
-                matching = now.matching
+            matching = self.agent.shown[:, 0] if isinstance(self.agent, Localising) else now.matching
             probabilities = logits.softmax(-1)
             if batched:
                 return Decision(action, stop, Scores(matching, probabilities))
