@@ -1,4 +1,4 @@
-"""Rollouts, the losses of an update together, and what updates tell."""
+"""Rollouts and their advantages, the losses of an update together, and what updates tell."""
 
 import pytest
 import torch
@@ -148,10 +148,14 @@ def test_minibatches_take_every_row_once_a_pass(room):
     assert all((part["number"].diff() == 1).all() for part in agents)
 
 
-def walked(world, views, *lengths):
+@pytest.fixture
+def policy(world):
+    return make_policy(world.features, world.names, width=8).operator()
+
+
+def walked(world, policy, views, *lengths):
     """What agents collect in calls of so many steps, ``[B, T]``, and where that leaves them."""
     env = TransformedEnv(NavigationEnv(world, 12, seed=3), Compose(StepCounter(7), views(world)))
-    policy = make_policy(world.features, world.names, width=8).operator()
     torch.manual_seed(0)
     agents, batches = env.reset(), []
     for steps in lengths:
@@ -160,8 +164,8 @@ def walked(world, views, *lengths):
     return torch.cat(batches, 1), agents
 
 
-def test_agents_that_are_done_start_anew_and_their_actions_are_not_always_the_most_probable_ones(world):
-    batch, agents = walked(world, SurroundingViews, 20)
+def test_agents_that_are_done_start_anew_and_their_actions_are_not_always_the_most_probable_ones(world, policy):
+    batch, agents = walked(world, policy, SurroundingViews, 20)
     done = batch["next", "done"].squeeze(-1)
     assert batch["next", "terminated"].any()
     assert batch["next", "truncated"].any()
@@ -176,7 +180,28 @@ def test_agents_that_are_done_start_anew_and_their_actions_are_not_always_the_mo
     assert taken.shape[1] > 1.5 * len(case.unique())  # several in a state on the way to a goal
 
 
-def test_short_calls_are_one_long_call(world):
-    whole, parts = walked(world, SequentialViews, 15), walked(world, SequentialViews, 4, 1, 10)
+def test_short_calls_are_one_long_call(world, policy):
+    whole, parts = (walked(world, policy, SequentialViews, *lengths) for lengths in ((15,), (4, 1, 10)))
     assert (whole[0] == parts[0]).all()
     assert (whole[1] == parts[1]).all()
+
+
+@pytest.mark.parametrize(("gamma", "lmbda"), [(0.9, 1.0), (0.99, 0.95)])
+def test_advantages_equal_the_sum_over_time(world, policy, gamma, lmbda):
+    critic, (batch, _) = policy.get_value_operator(), walked(world, policy, SurroundingViews, 15)
+    with torch.no_grad():  # of the state behind each step, asked for one by one
+        following = critic(batch["next"].reshape(-1))["state_value"].view(12, 15, 1)
+    batch = make_advantages(gamma, lmbda)(bootstrap(batch, critic))
+    flags = [batch["next", key].squeeze(-1) for key in ("terminated", "truncated")]
+    assert all(flag[:, :-1].any() for flag in flags)
+    for agent in range(12):
+        advantage = 0.0
+        for time in reversed(range(15)):
+            terminated, truncated = (flag[agent, time].item() for flag in flags)
+            value = batch["state_value"][agent, time].item()
+            # An episode that ended has no future; one that was cut off has, but its advantages end here too.
+            future = 0.0 if terminated else gamma * following[agent, time].item()
+            error = batch["next", "reward"][agent, time].item() + future - value
+            advantage = error + (0.0 if terminated or truncated else gamma * lmbda * advantage)
+            assert batch["advantage"][agent, time].item() == pytest.approx(advantage, abs=1e-4)
+            assert batch["value_target"][agent, time].item() == pytest.approx(advantage + value, abs=1e-4)

@@ -78,10 +78,8 @@ def test_twins_are_told_apart_by_their_neighbours(turns):
 
 def test_a_walk_that_ends_in_doubt_believes_the_match():
     graph, views = ImageGraph(), torch.randn(3, 4, 64, generator=torch.Generator().manual_seed(0))
-    graph.see(views[0])
-    graph.see(views[1], AHEAD)
-    graph.see(views[2], AHEAD)
-    graph.see(views[0], AHEAD)
+    for place, action in ((0, None), (1, AHEAD), (2, AHEAD), (0, AHEAD)):
+        graph.see(views[place], action)
     assert len(graph) == 16
     assert graph.doubt is not None
     graph.lose()

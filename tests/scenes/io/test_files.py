@@ -11,22 +11,18 @@ from refusals import refused
 from dirl.scenes.io.files import atomic_path, inside, read_text, write_json, write_text
 
 
-def test_a_file_appears_whole_with_usual_permissions_and_nothing_beside_it(tmp_path):
-    file = tmp_path / "a.txt"
-    write_text(file, "äöü\n")
-    assert file.read_text(encoding="utf-8") == "äöü\n"
-    (tmp_path / "usual").touch()
-    assert stat.S_IMODE(file.stat().st_mode) == stat.S_IMODE((tmp_path / "usual").stat().st_mode)
-    assert {entry.name for entry in tmp_path.iterdir()} == {"a.txt", "usual"}
-
-
-def test_data_is_on_the_disk_before_the_file_has_its_name_and_then_the_name_is(tmp_path, monkeypatch):
+def test_a_file_appears_whole_with_usual_permissions_and_nothing_beside_it_and_is_on_the_disk(tmp_path, monkeypatch):
+    file, usual = tmp_path / "a.txt", tmp_path / "usual"
+    usual.touch()
     done, fsync, replace = [], os.fsync, os.replace
     is_folder = lambda descriptor: stat.S_ISDIR(os.fstat(descriptor).st_mode)  # noqa: E731
     monkeypatch.setattr(os, "fsync", lambda file: done.append("folder" if is_folder(file) else "file") or fsync(file))
     monkeypatch.setattr(os, "replace", lambda *names: done.append("name") or replace(*names))
-    write_text(tmp_path / "a.txt", "new")
-    assert done == ["file", "name", "folder"]
+    write_text(file, "äöü\n")
+    assert done == ["file", "name", "folder"]  # on the disk is first what it holds, then its name
+    assert file.read_text(encoding="utf-8") == "äöü\n"
+    assert stat.S_IMODE(file.stat().st_mode) == stat.S_IMODE(usual.stat().st_mode)
+    assert {entry.name for entry in tmp_path.iterdir()} == {"a.txt", "usual"}
 
 
 @pytest.mark.parametrize("problem", [KeyboardInterrupt(), OSError(28, "No space left on device")])

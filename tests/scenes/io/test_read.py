@@ -70,16 +70,14 @@ def test_encoded_images_are_seen_and_go_before_raw_ones(dump):
     assert views.encoded(5) == encode(picture(5))
 
 
-def test_columns_may_be_in_any_declared_order(scene, dump):
+def test_columns_may_be_in_any_declared_order_and_a_file_may_have_any_name(scene, dump):
     order = ("right", "back", "ahead", "left")
     put(dump, graph=scene.graph[:, [ACTIONS.index(action) for action in order]])
     with h5py.File(dump, "a") as file:
         file.attrs["actions"] = np.array(order, "S")
-    assert (read_here(dump).graph == scene.graph).all()
-
-
-def test_a_file_may_have_any_name(dump):
-    assert read_here(dump.rename(dump.with_name("a='b#.h5"))).name == "a_b"
+    read = read_here(dump.rename(dump.with_name("a='b#.h5")))
+    assert (read.graph == scene.graph).all()
+    assert read.name == "a_b"
 
 
 ABOUT = {"extractor": "ResNet-50", "preprocessing": "/255", "weights": "v2"}
