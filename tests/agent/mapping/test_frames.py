@@ -71,12 +71,6 @@ def test_a_place_that_is_passed_twice_is_linked_and_not_to_one_that_is_less_alik
     assert len(links) - len(far) <= 1  # at the very beginning, where fewer frames are compared
 
 
-def test_a_full_turn_on_the_spot_closes(sift):
-    links = linked(sift, walk([(9.0, 2.5, 24 * part) for part in range(19)]))
-    assert len(links)
-    assert all(abs(second - first - 15) <= 1 for first, second in links)
-
-
 class Bricks:
     """A corridor whose walls repeat after ten frames; ``move`` is what is told of the way from a frame to another."""
 

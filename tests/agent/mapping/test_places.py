@@ -157,6 +157,15 @@ def test_places_that_later_visits_take_for_one_become_one():
         assert without_doubles(apart, odds).position.shape[1] == 3
 
 
+def test_who_is_carried_elsewhere_finds_the_place_on_the_map_again(world, walks):
+    known, passed = walks[0]
+    mapper = ParticleMapper(LocalisingMemory(), VisitScores(Odds(), world).of_visits, known=known)
+    for visit in (10, 3):
+        assert mapper.see(world.surrounding[passed[visit]] + len(world)) == int(known.places.node[0, visit])
+    assert mapper.frontier_action() is None  # nothing is left to be learnt
+    assert len(mapper.map()) == len(known)
+
+
 def test_particles_are_drawn_by_their_probabilities():
     drawn = resampled(torch.tensor([0.5, 0.0, 0.25, 0.25]), torch.Generator().manual_seed(0))
     assert drawn.tolist() == [0, 0, 2, 3]

@@ -126,17 +126,11 @@ def images():
 
 
 @torch.no_grad()
-def test_features_are_those_of_the_package(reference, images):
-    features = load_encoder(LITE)(VIEWS)
-    assert (features.shape, features.dtype) == ((5, 1280), torch.float32)
-    expected = reference.extract_features(images).mean((2, 3))
-    torch.testing.assert_close(features, expected, rtol=1e-3, atol=1e-4)
-
-
-@torch.no_grad()
-def test_patches_are_projected_cells_of_the_fifth_stage(reference, images):
+def test_features_are_those_of_the_package_and_patches_are_projected_cells_of_its_fifth_stage(reference, images):
     features, patches = load_encoder(LITE, patches=True).forward_patches(VIEWS)
     torch.testing.assert_close(features, load_encoder(LITE)(VIEWS))
+    expected = reference.extract_features(images).mean((2, 3))
+    torch.testing.assert_close(features, expected, rtol=1e-3, atol=1e-4)
     assert patches.shape == (5, *PATCH_SHAPE)
     x = reference._swish(reference._bn0(reference._conv_stem(images)))
     for block in reference._blocks[:11]:

@@ -111,13 +111,15 @@ def test_ncc_with_a_constant_vector_is_zero():
 
 
 @pytest.mark.parametrize("match", ["views", "front"])
-def test_scores_are_the_coefficients_of_every_goal_with_every_state(match, world):
+def test_scores_are_the_coefficients_of_every_goal_with_every_state_and_above_a_threshold_it_stops(match, world):
     scores = TemplateStop(match=match).scores(world)
     assert scores.shape == (2 * 8,)
     views = world.features[world.surrounding[:, : 4 if match == "views" else 1]].flatten(1)
     for index, goal in enumerate(world.goals):
         expected = [np.corrcoef(views[goal], views[state])[0, 1] for state in range(8 * index, 8 * index + 8)]
         assert world.block(scores, index).tolist() == pytest.approx(expected, abs=1e-5)
+    threshold = scores.sort().values[-3].item()
+    assert torch.equal(TemplateStop(threshold, match)(world), scores > threshold)
 
 
 def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
@@ -127,14 +129,6 @@ def test_nobody_stops_in_another_scene_or_where_the_goal_is_out_of_reach():
     world.features[:] = torch.rand(16)
     stops = torch.stack(world.pairs(), 1)[TemplateStop()(world)].tolist()
     assert stops == [[0, state] for state in range(4)] + [[1, 8 + state] for state in range(4)]
-
-
-def test_a_state_stops_only_above_the_threshold(world):
-    scores = world.block(TemplateStop().scores(world), 0)
-    threshold = scores.sort().values[-3].item()
-    stop = world.block(TemplateStop(threshold)(world), 0)
-    assert stop.sum() == 2
-    assert torch.equal(stop, scores > threshold)
 
 
 def test_a_stop_that_matches_something_else_is_refused():
