@@ -29,8 +29,6 @@ def test_the_built_in_room_renders_view_goal_and_map():
     picture = env.render()
     views = env.unwrapped.task.scene.views
     assert picture.dtype == np.uint8
-    assert picture.shape[0] == 300
-    assert picture.shape[1] > 800
     np.testing.assert_array_equal(picture[:, :400], views[3])
     np.testing.assert_array_equal(picture[:, 400:800], views[26])
     env.step(1)

@@ -77,15 +77,12 @@ def test_each_run_of_a_stack_learns_what_it_learns_alone(common, scenes, tmp_pat
     every, states = make_states(room, options)
     for number, (parts, state) in enumerate(zip(every, states, strict=True)):
         torch.manual_seed(parts.config.seed)
-        loop = Updates(3, state)
-        learn(state, loop)
-        for (alone,), together in zip(loop.reports, reports, strict=True):
+        for (alone,), together in zip(learned(state, 3), reports, strict=True):
             own = together[number]
             assert (alone.goal_index, alone.steps, alone.frames) == (own.goal_index, own.steps, own.frames)
             assert own.values == pytest.approx(alone.values, abs=1e-4)
-        weights = dict(stack.members[number].policy.named_parameters())
-        for name, value in state.policy.named_parameters():
-            torch.testing.assert_close(weights[name], value, atol=1e-5, rtol=0)
+        weights = (dict(policy.named_parameters()) for policy in (stack.members[number].policy, state.policy))
+        torch.testing.assert_close(*weights, atol=1e-5, rtol=0)
 
 
 def test_each_run_of_a_stack_imitates_as_it_does_alone(tmp_path):
@@ -107,9 +104,8 @@ def test_each_run_of_a_stack_imitates_as_it_does_alone(tmp_path):
         steps, own = rows_of(alone.folder / "imitation.csv"), rows_of(runs[number].folder / "imitation.csv")
         assert [(row["step"], row["accuracy"]) for row in own] == [(row["step"], row["accuracy"]) for row in steps]
         assert len(own) in (range(2, 7), (7,), range(8, 20))[number]
-        weights = dict(stack.policies[number].named_parameters())
-        for name, value in parts.policy.named_parameters():
-            torch.testing.assert_close(weights[name], value, atol=1e-5, rtol=0)
+        weights = (dict(policy.named_parameters()) for policy in (stack.policies[number], parts.policy))
+        torch.testing.assert_close(*weights, atol=1e-5, rtol=0)
 
 
 def test_a_captured_update_computes_what_it_does_without_a_graph(tmp_path, monkeypatch, capsys):
