@@ -1,15 +1,16 @@
-"""A navigator that walks through a place once, and then goes to any photo of it."""
+"""A navigator that walks through a place once and then goes to any photo of it: by image graphs and maps of places."""
 
 import numpy as np
 import pytest
 import torch
+from elsewhere import DEVICE, device_elsewhere
 from odds import Odds
 from refusals import refused
 from rooms import grid_scene
 from shown_goals import images_of, look_up, rooms, trained, walk_through, walk_to_goal
 
 from dirl import Navigator
-from dirl.agent.mapping import ImageGraph
+from dirl.agent.mapping import ImageGraph, load_graph
 from dirl.scenes import make_world
 
 
@@ -36,12 +37,16 @@ def explorer(navigator, world):
     return walk
 
 
+def goes_straight(navigator, world, start, goal, around=None):
+    """Whether a navigator gets to its goal on a shortest way."""
+    passed = walk_to_goal(navigator, world, start, around)
+    return passed[-1] == goal and len(passed) - 1 == world.scenes[0].distances[start, goal]
+
+
 def test_it_goes_to_any_photo_on_a_shortest_way(navigator, explorer, world):
     for goal, start, seen in ((1, 18, world.surrounding[1]), (13, 0, world.surrounding[13]), (22, 7, 22)):
         navigator.reset(images_of(seen), graph=explorer.graph, last_steps=0)
-        passed = walk_to_goal(navigator, world, start)
-        assert passed[-1] == goal
-        assert len(passed) - 1 == world.scenes[0].distances[start, goal]
+        assert goes_straight(navigator, world, start, goal)
         assert navigator.agent.guide.match == pytest.approx(1, abs=1e-4)
 
 
@@ -85,9 +90,7 @@ def test_turns_of_another_angle_than_the_maps_are_noticed_and_a_panorama_is_led_
     walk = navigator.explore(turns=8)
     walk_through(walk, place)
     navigator.reset(images_of(place.surrounding[13]), graph=walk.graph, last_steps=0)
-    passed = walk_to_goal(navigator, place, 40, place.panoramas())
-    assert passed[-1] == 13
-    assert len(passed) - 1 == place.scenes[0].distances[40, 13]
+    assert goes_straight(navigator, place, 40, 13, place.panoramas())
 
 
 def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
@@ -99,3 +102,63 @@ def test_what_cannot_be_used_is_said(navigator, explorer, world, tmp_path):
     narrow = ImageGraph()
     narrow.see(torch.randn(4, 5))
     refused("the map has 5 features a view, the navigator 48", navigator.reset, goal, graph=narrow)
+
+
+@pytest.fixture
+def localiser(tmp_path, world, monkeypatch):
+    """Of a policy that has learnt nothing, with a memory that localises: its maps are of places."""
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
+    trained(tmp_path / "run", world, "episodic_memory=localising")
+    return Navigator.load(tmp_path / "run", look_up(world), extractor="random")
+
+
+def explored(localiser, world, known=None):
+    explorer = localiser.explore(known, turns=4)
+    walk_through(explorer, world)
+    return explorer
+
+
+def test_a_map_of_places_leads_straight_to_any_photo_if_the_memory_localises(localiser, world, tmp_path):
+    explorer = explored(localiser, world)
+    folder, walked_through = explorer.save(tmp_path / "map"), explorer.graph.map()
+    known = load_graph(folder)
+    assert len(known) == len(world)
+    assert torch.equal(known.seen, walked_through.seen)
+    for name in ("cost", "after", "node", "goal", "position", "heading", "action", "mapped"):
+        assert torch.equal(getattr(known.places, name), getattr(walked_through.places, name))
+    for goal, start, seen in ((1, 18, world.surrounding[1]), (13, 0, world.surrounding[13]), (13, 18, 13)):
+        localiser.reset(images_of(seen), graph=folder)
+        assert goes_straight(localiser, world, start, goal)
+    assert len(explored(localiser, world, known).graph.map()) == len(known)
+    localiser.memory = None
+    for use in (lambda: localiser.explore(known), lambda: localiser.reset(images_of(1), graph=known)):
+        refused(r"^graph: this map is for episodic_memory=localising; load ", use)
+
+
+def test_a_map_of_places_that_was_saved_serves_on_another_device(localiser, world, tmp_path, monkeypatch):
+    folder = explored(localiser, world).save(tmp_path / "map")
+
+    def actions():
+        localiser.reset(images_of(world.surrounding[13]), graph=folder)
+        return [localiser.act(images_of(world.surrounding[state])).action for state in (0, 0, 18)]
+
+    on_cpu, encoder = actions(), localiser.encoder
+    localiser.encoder = lambda images: encoder(images.cpu())
+    with device_elsewhere(monkeypatch):
+        localiser.policy.to(DEVICE)
+        localiser.recogniser.to(DEVICE)
+        assert actions() == on_cpu
+
+
+def test_a_map_of_panoramas_is_made_and_used_by_a_robot_that_turns_by_45_degrees(localiser, tmp_path):
+    place = make_world([grid_scene(headings=8, goals=(0, 13), feature_width=48)])
+    localiser.encoder, localiser.turns = look_up(place), 8
+    around, explorer = place.panoramas(), localiser.explore(turns=8)
+    walk_through(explorer, place, around)
+    folder, goal = explorer.save(tmp_path / "map"), images_of(place.surrounding[13])
+    assert (load_graph(folder).turns, len(load_graph(folder))) == (8, 48)
+    localiser.reset(goal, graph=folder)
+    refused("^images: 4 views, and the map is of 8; give as many", localiser.act, images_of(place.surrounding[40]))
+    assert goes_straight(localiser, place, 40, 13, around)
+    localiser.turns = 4
+    refused("^graph: was made with turns=8, this navigator has 4", localiser.reset, goal, graph=folder)

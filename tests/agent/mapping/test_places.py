@@ -1,20 +1,14 @@
-"""Maps of places that never look the same twice: made by a walk, kept in a file, used by later episodes."""
+"""Maps of places that never look the same twice: made by a walk, used by later episodes."""
 
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 import torch
-from elsewhere import DEVICE, device_elsewhere
 from odds import Odds
 from policies import indifferent
-from refusals import refused
 from rooms import grid_scene
-from shown_goals import images_of, look_up, trained, walk_through, walk_to_goal
-from shown_goals import rooms as shown_rooms
 
-from dirl import Navigator
-from dirl.agent.mapping import load_graph
 from dirl.agent.mapping.graph_policy import explore
 from dirl.agent.mapping.places import ParticleMapper, resampled, without_doubles
 from dirl.envs import SurroundingViews
@@ -169,77 +163,3 @@ def test_who_is_carried_elsewhere_finds_the_place_on_the_map_again(world, walks)
 def test_particles_are_drawn_by_their_probabilities():
     drawn = resampled(torch.tensor([0.5, 0.0, 0.25, 0.25]), torch.Generator().manual_seed(0))
     assert drawn.tolist() == [0, 0, 2, 3]
-
-
-@pytest.fixture
-def place():
-    return shown_rooms()
-
-
-@pytest.fixture
-def navigator(tmp_path, place, monkeypatch):
-    """Of a policy that has learnt nothing, with a memory that localises."""
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
-    trained(tmp_path / "run", place, "episodic_memory=localising")
-    return Navigator.load(tmp_path / "run", look_up(place), extractor="random")
-
-
-def explored(navigator, place, known=None):
-    explorer = navigator.explore(known, turns=4)
-    walk_through(explorer, place)
-    return explorer
-
-
-def test_a_navigator_walks_once_and_goes_straight_to_any_photo(navigator, place, tmp_path):
-    explorer = explored(navigator, place)
-    folder, walked_through = explorer.save(tmp_path / "map"), explorer.graph.map()
-    known = load_graph(folder)
-    assert len(known) == len(place.scenes[0])
-    assert torch.equal(known.seen, walked_through.seen)
-    for name in ("cost", "after", "node", "goal", "position", "heading", "action", "mapped"):
-        assert torch.equal(getattr(known.places, name), getattr(walked_through.places, name))
-    for goal, start, seen in ((1, 18, place.surrounding[1]), (13, 0, place.surrounding[13]), (13, 18, 13)):
-        navigator.reset(images_of(seen), graph=folder)
-        passed = walk_to_goal(navigator, place, start)
-        assert passed[-1] == goal
-        assert len(passed) - 1 == place.scenes[0].distances[start, goal]
-    on = explored(navigator, place, known)
-    assert len(on.graph.map()) == len(known)
-
-
-def test_a_map_that_was_saved_serves_on_another_device(navigator, place, tmp_path, monkeypatch):
-    folder = explored(navigator, place).save(tmp_path / "map")
-
-    def actions():
-        navigator.reset(images_of(place.surrounding[13]), graph=folder)
-        return [navigator.act(images_of(place.surrounding[state])).action for state in (0, 0, 18)]
-
-    on_cpu, encoder = actions(), navigator.encoder
-    navigator.encoder = lambda images: encoder(images.cpu())
-    with device_elsewhere(monkeypatch):
-        navigator.policy.to(DEVICE)
-        navigator.recogniser.to(DEVICE)
-        assert actions() == on_cpu
-
-
-def test_a_map_of_panoramas_is_made_and_used_by_a_robot_that_turns_by_45_degrees(navigator, tmp_path):
-    place = make_world([grid_scene(3, 2, headings=8, goals=(0, 13))])
-    navigator.encoder, navigator.turns = look_up(place), 8
-    around, explorer = place.panoramas(), navigator.explore(turns=8)
-    walk_through(explorer, place, around)
-    folder = explorer.save(tmp_path / "map")
-    assert (load_graph(folder).turns, len(load_graph(folder))) == (8, 48)
-    navigator.reset(images_of(place.surrounding[13]), graph=folder)
-    refused(r"^images: 4 views, and the map is of 8; give as many", navigator.act, images_of(place.surrounding[40]))
-    passed = walk_to_goal(navigator, place, 40, around)
-    assert passed[-1] == 13
-    assert len(passed) - 1 == place.scenes[0].distances[40, 13]
-    navigator.turns = 4
-    told = r"^graph: was made with turns=8, this navigator has 4"
-    refused(told, navigator.reset, images_of(place.surrounding[13]), graph=folder)
-
-
-def test_a_map_of_places_needs_a_memory_that_localises(navigator, place, walks):
-    navigator.memory = None
-    for use in (lambda: navigator.explore(walks[0][0]), lambda: navigator.reset(images_of(1), graph=walks[0][0])):
-        refused(r"^graph: this map is for episodic_memory=localising; load ", use)
