@@ -180,7 +180,7 @@ def write_bag(path, stores, kind, encoding="rgb8", cameras=("/camera",)):
             zero = of["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
             twist = of["geometry_msgs/msg/TwistWithCovariance"](of["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36))
             odometry = of["nav_msgs/msg/Odometry"](header, "base", pose, twist)
-            pixels = picture(10 * number)
+            pixels = picture(10 * number) // np.array([1, 1, 2], np.uint8)  # less blue than red
             if encoding == "jpeg":
                 Image.fromarray(pixels).save(buffer := io.BytesIO(), "JPEG")
                 image = of[image_type](header, encoding, np.frombuffer(buffer.getvalue(), np.uint8))

@@ -165,6 +165,8 @@ def test_rooms_become_a_collection_and_a_killed_job_goes_on(drawn, tmp_path):
     with h5py.File(tmp_path / "bathroom_30001.h5") as file:
         assert file.attrs["seed"] == 30_001
     refused(r"other_1\.h5: says not how it was made", missing_rooms, tmp_path, WANTED, PLAIN.stored(None))
+    (tmp_path / "mine.txt").write_text("a file of somebody else")
+    refused("is there already, and is no collection", missing_rooms, tmp_path, WANTED, PLAIN.stored(None))
 
 
 def test_a_seed_without_a_room_does_not_stop_the_others(drawn, tmp_path):
