@@ -29,8 +29,8 @@ from dirl.sources.rooms.sampling.sample import LOOK, look_around
 from dirl.sources.rooms.view import Renderer
 from dirl.sources.rooms.walkable import walk
 
-REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02"
-"""Views of the bathroom in coarse light, 60x80 PNG, rendered on the machine that made the rooms; named by states."""
+REFERENCES = Path(__file__).parents[2] / "data" / "bathroom_02.png"
+"""Six small views of the bathroom in coarse light, side by side, from the machine that made the rooms."""
 
 SMALL = {"size": (24, 32), "fine": False}
 
@@ -93,18 +93,14 @@ def test_what_cannot_be_built_is_refused_at_once(tmp_path):
 
 
 def test_the_bathroom_is_built_the_same_on_this_machine():
-    """Up to rounding, which moves a ray across an edge here and there: a PSNR above 50 dB (the graph: see above)."""
+    """Up to rounding, which moves a ray across an edge here and there: a PSNR above 45 dB (the graph: see above)."""
     room = describe_room("bathroom_02")
     way, renderer = walk(room), Renderer.of(room, fine=False)
-    stored = sorted(REFERENCES.glob("*.png"))
-    assert len(stored) == 3
-    for file in stored:
-        place, heading = divmod(int(file.stem), 4)
-        with Image.open(file) as image:
-            reference = np.asarray(image).astype(float)
-        view = renderer.view(room.camera, (*way.places[place], way.headings[heading]), reference.shape[:2])
-        error = ((view - reference) ** 2).mean()
-        assert 10 * np.log10(255**2 / max(error, 1e-9)) > 50, f"state {file.stem}"
+    poses = [(*way.places[state // 4], way.headings[state % 4]) for state in (9, 40, 75, 110, 143, 170)]
+    views = np.concatenate([renderer.view(room.camera, pose, (15, 20)) for pose in poses], 1)
+    with Image.open(REFERENCES) as image:
+        error = ((views - np.asarray(image).astype(float)) ** 2).mean()
+    assert 10 * np.log10(255**2 / max(error, 1e-9)) > 45
 
 
 def test_each_error_changes_the_views_and_more_of_it_more():
