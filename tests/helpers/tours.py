@@ -45,6 +45,10 @@ class Truth:
         """Where a link is in its image, degrees, -180 to 180."""
         return (link[2] - self.middles[link[0]] + 180) % 360 - 180
 
+    def spots(self, index):
+        """Where the links of a panorama are in its image, degrees, and the names of the panoramas they lead to."""
+        return [(self.yaw(link), self.names[link[1]]) for link in self.links if link[0] == index]
+
 
 def room_truth():
     """The tour of the closet: each of its places, and a link for each free way to a neighbour, diagonals too."""
@@ -103,12 +107,11 @@ def write_marzipano(folder, truth, camera, side=48):
         for face in CUBE:
             pixels = camera.face(truth, index, face, side)
             for level, about in enumerate(levels[1:], 1):
-                scaled = np.asarray(Image.fromarray(pixels).resize((about["size"],) * 2, Image.Resampling.BOX))
-                save_tiles(scaled, about["tileSize"], folder, f"tiles/{name}/{level}/{face}/{{y}}/{{x}}.jpg")
+                pattern = f"tiles/{name}/{level}/{face}/{{y}}/{{x}}.jpg"
+                save_tiles(pixels, about["size"], about["tileSize"], folder, pattern)
         spots = [
-            {"yaw": np.radians(truth.yaw(link)), "pitch": 0.2, "rotation": 0, "target": truth.names[link[1]]}
-            for link in truth.links
-            if link[0] == index
+            {"yaw": np.radians(yaw), "pitch": 0.2, "rotation": 0, "target": target}
+            for yaw, target in truth.spots(index)
         ]
         scenes.append(
             {"id": name, "name": name, "levels": levels, "faceSize": side, "linkHotspots": spots, "infoHotspots": []}
@@ -130,13 +133,11 @@ def write_krpano(folder, truth, camera, side=48, *, image="cube"):
                 save(pixels, folder / "panos" / f"{name}_{face}.jpg")
                 continue
             for level, size in enumerate((side // 2, side), 1):
-                scaled = np.asarray(Image.fromarray(pixels).resize((size, size), Image.Resampling.BOX))
                 pattern = f"panos/{name}.tiles/{face}/l{level}/{{y1:02d}}/l{level}_{face}_{{y1:02d}}_{{x1:02d}}.jpg"
-                save_tiles(scaled, side // 2, folder, pattern)
+                save_tiles(pixels, size, side // 2, folder, pattern)
         lines += [f'<scene name="{name}" title="{name}" heading="">', '<view hlookat="0.0" fov="120" />']
         lines += [_krpano_image(name, side, image)]
-        for number, link in enumerate(link for link in truth.links if link[0] == index):
-            target, yaw = truth.names[link[1]], truth.yaw(link)
+        for number, (yaw, target) in enumerate(truth.spots(index)):
             lines.append(f'<hotspot name="spot{number}" ath="{yaw:.4f}" atv="5" linkedscene="{target}" />')
         lines.append("</scene>")
     (folder / "tour.xml").write_text("\n".join([*lines, "</krpano>"]))
@@ -175,11 +176,7 @@ def write_pannellum(folder, truth, camera, side=48, *, image="equirectangular"):
         else:
             about = {"type": image, "basePath": name, "multiRes": _tiled(folder / name, truth, camera, index, side)}
         spots = [{"type": "info", "yaw": 3, "pitch": 0, "text": "a stool"}]
-        spots += [
-            {"type": "scene", "yaw": truth.yaw(link), "pitch": 0, "sceneId": truth.names[link[1]]}
-            for link in truth.links
-            if link[0] == index
-        ]
+        spots += [{"type": "scene", "yaw": yaw, "pitch": 0, "sceneId": target} for yaw, target in truth.spots(index)]
         scenes[name] = {"title": name, **about, "hotSpots": spots}
     (folder / "tour.json").write_text(json.dumps({"default": {"firstScene": truth.names[0]}, "scenes": scenes}))
     return folder
@@ -191,8 +188,7 @@ def _tiled(folder, truth, camera, index, side):
     for face in CUBE:
         pixels = camera.face(truth, index, face, full)
         for level, size in ((3, full), (2, full // 2), (1, full // 4)):
-            scaled = np.asarray(Image.fromarray(pixels).resize((size, size), Image.Resampling.BOX))
-            save_tiles(scaled, tile, folder, f"{level}/{face}{{y}}_{{x}}.jpg")
+            save_tiles(pixels, size, tile, folder, f"{level}/{face}{{y}}_{{x}}.jpg")
     sizes = {"tileResolution": tile, "maxLevel": 3, "cubeResolution": full}
     return {"path": "/%l/%s%y_%x", "fallbackPath": "/fallback/%s", "extension": "jpg", **sizes}
 
@@ -222,12 +218,13 @@ def save(pixels, file):
     Image.fromarray(pixels).save(file, quality=97, subsampling=0)
 
 
-def save_tiles(pixels, tile, folder, pattern):
-    """Tiles of an image, numbered from 0 (x, y) or 1 (x1, y1); at its right and lower edges they may be smaller."""
-    for y, top in enumerate(range(0, len(pixels), tile)):
-        for x, left in enumerate(range(0, pixels.shape[1], tile)):
+def save_tiles(pixels, size, tile, folder, pattern):
+    """Tiles of an image of this size, numbered from 0 (x, y) or 1 (x1, y1); the last ones may be smaller."""
+    scaled = np.asarray(Image.fromarray(pixels).resize((size, size), Image.Resampling.BOX))
+    for y, top in enumerate(range(0, size, tile)):
+        for x, left in enumerate(range(0, size, tile)):
             name = pattern.format(x=x, y=y, x1=x + 1, y1=y + 1)
-            save(pixels[top : top + tile, left : left + tile], folder / name)
+            save(scaled[top : top + tile, left : left + tile], folder / name)
 
 
 def turned(truth, share, seed=0):
