@@ -93,14 +93,14 @@ def test_what_cannot_be_built_is_refused_at_once(tmp_path):
 
 
 def test_the_bathroom_is_built_the_same_on_this_machine():
-    """Up to rounding, which moves a ray across an edge here and there: a PSNR above 45 dB (the graph: see above)."""
+    """Up to rounding, which moves a ray across an edge here and there, and so a pixel of a hundred (graph: above)."""
     room = describe_room("bathroom_02")
     way, renderer = walk(room), Renderer.of(room, fine=False)
     poses = [(*way.places[state // 4], way.headings[state % 4]) for state in (9, 40, 75, 110, 143, 170)]
     views = np.concatenate([renderer.view(room.camera, pose, (15, 20)) for pose in poses], 1)
     with Image.open(REFERENCES) as image:
-        error = ((views - np.asarray(image).astype(float)) ** 2).mean()
-    assert 10 * np.log10(255**2 / max(error, 1e-9)) > 45
+        error = np.abs(views - np.asarray(image).astype(float))
+    assert (error <= 1).mean() > 0.99
 
 
 def test_each_error_changes_the_views_and_more_of_it_more():
