@@ -27,7 +27,7 @@ from dirl.scenes import SceneError, load_scenes, make_world
 from dirl.scenes.live import Pose
 from dirl.sources.gym import GymSimulator
 from dirl.sources.simulators import take_scene
-from dirl.training.build import build_demonstrations, build_world
+from dirl.training.build import build_world
 from dirl.training.objectives import ImitationLoss, demonstration_batches
 from dirl.training.rollout import collect
 
@@ -59,28 +59,27 @@ def page_modules(tmp_path_factory):
 
 @pytest.fixture
 def parts(tmp_path):
-    """Configuration, protocol and state of a training in a room of 24 states, with given options."""
+    """Parts and state of a training in a room of 24 states, with given options."""
     room = room_file(tmp_path)
 
     def make(*options, saved=None):
         made = make_parts(f"scene={room}", *SMALL, *options)
-        return made.config, made.protocol, train_state(made, saved)
+        return made, train_state(made, saved)
 
     return make
 
 
-def train(config, state, total, until=None):
+def train(state, total, until=None):
     """Train until there are so many frames; what the updates told."""
     loop = Loop(state, total, lambda state: until is not None and state.frames >= until)
     learn(state, loop)
     return loop.told
 
 
-def clone(config, protocol, policy, steps=150):
+def clone(policy, demos, steps=150):
     """Learn all that the expert shows."""
-    rows = build_demonstrations(config, protocol.world, protocol.observation)
     loss, optimiser = ImitationLoss(policy.operator().get_policy_head()), torch.optim.Adam(policy.parameters(), 3e-3)
-    trunk, draw = policy.trunk(), demonstration_batches(policy, rows, None)
+    trunk, draw = policy.trunk(), demonstration_batches(policy, demos, None)
     for _ in range(steps):
         optimiser.zero_grad()
         loss(trunk(draw().copy()))["loss_imitation"].backward()
@@ -91,19 +90,18 @@ def clone(config, protocol, policy, steps=150):
 def test_an_observation_of_ones_own_is_learnt_from_and_cached_to_the_same_result(parts, views):
     answers, ids = [], None
     for cache in ("auto", "off"):
-        same = ["imitation.fraction=1", "network.axes=features"]
-        config, protocol, state = parts(*views, *same, f"network.cache={cache}")
+        made, state = parts(*views, "imitation.fraction=1", "network.axes=features", f"network.cache={cache}")
         assert (state.policy.cached is not None) == (cache == "auto")
-        clone(config, protocol, state.policy, 3)
-        train(config, state, total=400)
+        clone(state.policy, made.demos, 3)
+        train(state, total=400)
         ids = ids if ids is not None else collect(state.env, state.policy.operator(), state.agents, 9)[0]
         answers.append(state.policy(ids.select(*state.policy.in_keys).clone())["logits"])
         with caching(state.policy, learns=False):
             answers.append(state.policy(ids.select(*state.policy.in_keys).clone())["logits"])
     for answer in answers[1:]:
         torch.testing.assert_close(answer, answers[0], atol=1e-4, rtol=1e-4)
-    clone(config, protocol, state.policy)
-    assert metrics(protocol.run(state.policy))["sr"] > 0.5
+    clone(state.policy, made.demos)
+    assert metrics(made.protocol.run(state.policy))["sr"] > 0.5
 
 
 class Broken(SurroundingViews):
@@ -121,7 +119,7 @@ class Forgetful(SurroundingViews):
 
 
 def test_a_window_holds_the_last_steps_of_an_episode_and_no_other(parts):
-    _, _, state = parts(*WINDOW, "reinforcement.max_steps=5")
+    _, state = parts(*WINDOW, "reinforcement.max_steps=5")
     batch, _ = collect(state.env, state.policy.operator(), state.agents, 12)
     seen, done = batch["next", "seen"], batch["next", "done"].squeeze(-1)
     assert (seen[:, 0] == 1).all()
@@ -177,42 +175,39 @@ def test_a_component_that_does_not_keep_its_contract_is_refused(parts, monkeypat
 
 
 def test_discrete_sac_learns_from_nothing(parts):
-    config, protocol, state = parts(*SAC)
-    before = metrics(protocol.run(state.policy))
-    train(config, state, total=8_000)
-    after, random = metrics(protocol.run(state.policy)), metrics(protocol.run_random())
-    assert before["spl"] < 0.4
-    assert random["spl"] < 0.4
-    assert after["spl"] > 0.6
+    made, state = parts(*SAC)
+    assert metrics(made.protocol.run(state.policy))["spl"] < 0.4
+    train(state, total=8_000)
+    assert metrics(made.protocol.run(state.policy))["spl"] > 0.6
 
 
 def test_a_discriminator_gives_the_reward_before_advantages_are_computed(parts):
-    config, protocol, state = parts(*GAIL, "reinforcement.n_steps=5", "optimiser.lr=3e-3")
-    before = metrics(protocol.run(state.policy))
+    made, state = parts(*GAIL, "reinforcement.n_steps=5", "optimiser.lr=3e-3")
+    before = metrics(made.protocol.run(state.policy))
     batch, _ = collect(state.env, state.policy.operator(), state.agents, 5)
     rewarded = state.losses.rewarded(batch.clone())
     assert (rewarded["next", "reward"] < 0).all()
     assert rewarded["next", "reward"].shape == batch["next", "reward"].shape
     assert "hidden" not in rewarded.keys()  # noqa: SIM118, of a TensorDict
-    told = train(config, state, total=40_000)
+    told = train(state, total=40_000)
     assert {"loss_gail", "gail_accuracy"} <= told[0].keys()
-    assert metrics(protocol.run(state.policy))["spl"] > 4 * before["spl"]
+    assert metrics(made.protocol.run(state.policy))["spl"] > 4 * before["spl"]
 
 
 @pytest.mark.parametrize("options", [SAC, [*INVERSE, "memory=gru", "memory.hidden_size=16"]], ids=["sac", "gru"])
 def test_a_training_goes_on_bit_for_bit_with_what_its_losses_hold(parts, options):
-    config, _, straight = parts(*options)
-    train(config, straight, total=1_000)
+    _, straight = parts(*options)
+    train(straight, total=1_000)
 
-    config, _, first = parts(*options)
-    train(config, first, total=1_000, until=500)
+    _, first = parts(*options)
+    train(first, total=1_000, until=500)
     file = io.BytesIO()
     torch.save(first.state_dict(), file)
     file.seek(0)
     torch.manual_seed(99)
-    config, _, second = parts(*options, saved=torch.load(file, weights_only=True))
+    _, second = parts(*options, saved=torch.load(file, weights_only=True))
     assert second.frames == first.frames < 700
-    train(config, second, total=1_000)
+    train(second, total=1_000)
 
     assert second.frames == straight.frames
     for name, value in straight.losses.named_parameters():
@@ -262,49 +257,41 @@ def test_a_source_that_does_not_do_what_it_should_is_refused_in_one_line(answer,
     refused(says, load_scenes, "x", source=Returns(answer))
 
 
-def broken(cls, **members):
-    """A class like another with some members replaced."""
-    return type(cls.__name__, (cls,), members)
-
-
 def test_a_recogniser_of_ones_own_stops_agents_and_is_refused_in_one_line_if_it_is_none(tmp_path, monkeypatch):
-    import cosine
     from cosine import Cosine
 
-    def made(cls=Cosine):
-        monkeypatch.setattr(cosine, "Cosine", cls)
-        return build_recogniser({"_target_": "cosine.Cosine"})
+    class Broken(Cosine):
+        """As `Cosine`, until members of it are replaced."""
+
+    def made(**members):
+        for name, value in members.items():
+            monkeypatch.setattr(Broken, name, value)
+        return VisitScores(build_recogniser({"_target_": "cosine.Cosine"}), world)
 
     world = make_world(load_scenes(str(room_file(tmp_path))))
-    scores = VisitScores(made(), world)
     every = torch.arange(len(world))
-    assert (scores(every, every) > 0.999).all()
-    refused("has no method scores, which every recogniser has$", made, without(Cosine, "scores"))
-    refused(r"^recogniser: Cosine has no calibrated, thresholds$", made, without(Cosine, "thresholds", "calibrated"))
-    refused(r"thresholds must be Thresholds of dirl or None, not float$", made, broken(Cosine, thresholds=0.9))
-    flat = broken(Cosine, describe=lambda self, features, patches=None: features[:, 0])()
-    refused(r"^recogniser: .*describe gave \[24\] for 24 views; expected \[N, F\]", VisitScores, flat, world)
-    few = broken(Cosine, scores=lambda self, seen, references: seen[:, 0, 0])()
-    refused(r"^recogniser: .*scores gave \[2\] for 2 visits and 3 references", VisitScores, few, world)
-
-
-def without(cls, *names):
-    """A class like another, without some members."""
-    members = {name: value for name, value in vars(cls).items() if name not in names and not name.startswith("__")}
-    return type(cls.__name__, (), members)
+    assert (made()(every, every) > 0.999).all()
+    monkeypatch.setattr("cosine.Cosine", Broken)
+    refused(r"thresholds must be Thresholds of dirl or None, not float$", made, thresholds=0.9)
+    few = r"^recogniser: .*scores gave \[2\] for 2 visits and 3 references"
+    refused(few, made, thresholds=None, scores=lambda self, seen, references: seen[:, 0, 0])
+    flat = r"^recogniser: .*describe gave \[24\] for 24 views; expected \[N, F\]"
+    refused(flat, made, describe=lambda self, features, patches=None: features[:, 0])
+    monkeypatch.delattr(Cosine, "calibrated")
+    refused("^recogniser: Broken has no calibrated$", made)
 
 
 def test_a_metric_of_ones_own_is_measured_by_scene_and_goal(parts):
     from detours import Detours
 
-    _, protocol, _ = parts()
-    shortest = shortest_episodes(protocol.world, protocol.starts)
-    summary = report(replace(shortest, steps=3 * shortest.shortest), protocol.world, Detours())
+    made, _ = parts()
+    shortest = shortest_episodes(made.world, made.protocol.starts)
+    summary = report(replace(shortest, steps=3 * shortest.shortest), made.world, Detours())
     assert summary["detours"] == 1.0
     assert all(goal["detours"] == 1.0 for goal in summary["scenes"]["grid"]["goals"].values())
     assert "detours" in result_table({"greedy": summary}).splitlines()[0]
     for wrong, told in ((lambda _: 3, "expected numbers by name"), (lambda _: {"sr": 1.0}, "a name of its own")):
-        refused(f"^metric: .*{told}", report, shortest, protocol.world, wrong)
+        refused(f"^metric: .*{told}", report, shortest, made.world, wrong)
 
 
 def test_an_image_encoder_of_ones_own_encodes_and_a_wrong_one_is_one_line(tmp_path):
