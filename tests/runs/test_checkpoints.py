@@ -8,7 +8,6 @@ import torch
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from refusals import refused
-from spoil import spoilt
 
 from dirl.agent.mapping import ImageGraph, load_graph, save_graph
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
@@ -47,6 +46,26 @@ def test_a_checkpoint_comes_back_as_it_was_and_stays_an_archive_of_torch(file):
         assert torch.equal(saved["network"]["w"], STATE["network"]["w"])
         assert saved["optimiser"]["param_groups"] == STATE["optimiser"]["param_groups"]
         assert list(saved["optimiser"]["state"]) == [0]
+
+
+@st.composite
+def spoilt(draw, data):
+    """Bytes of which a bit, a sector, the end or the order is not what it was."""
+    place = draw(st.integers(0, len(data) - 1))
+    how = draw(st.sampled_from(["bit", "zeros", "cut", "longer", "swap"]))
+    damaged = bytearray(data)
+    if how == "bit":
+        damaged[place] ^= 1 << draw(st.integers(0, 7))
+    elif how == "zeros":
+        damaged[place : place + 512] = bytes(len(damaged[place : place + 512]))
+    elif how == "cut":
+        del damaged[place:]
+    elif how == "longer":
+        damaged += b"\0"
+    else:
+        other = draw(st.integers(0, len(data) - 1))
+        damaged[place], damaged[other] = damaged[other], damaged[place]
+    return bytes(damaged)
 
 
 @given(drawn=st.data())

@@ -1,5 +1,6 @@
 """The folder of a run: tables, checkpoints, and what becomes of it when a process dies or files are lost."""
 
+import errno
 import json
 import math
 import os
@@ -154,11 +155,9 @@ def test_what_somebody_deletes_of_a_running_run_ends_it(tmp_path, deleted):
     run = begun(tmp_path)
     run.write("evaluation", 10, {"frames": 10, "atl": 3.0})
     (tmp_path / deleted).unlink()
-    steps = [lambda: run.save(state(20))]
-    if deleted == "config.yaml":
-        steps.append(lambda: run.finish(state(20), {}))
-    else:
-        steps.insert(0, lambda: run.write("evaluation", 20, {"frames": 20, "atl": 2.0}))
+    steps = [lambda: run.save(state(20)), lambda: run.finish(state(20), {})]
+    if deleted == "evaluation.csv":
+        steps.append(lambda: run.write("evaluation", 20, {"frames": 20, "atl": 2.0}))
     for step in steps:
         with pytest.raises(FileNotFoundError, match=deleted):
             step()
@@ -167,13 +166,22 @@ def test_what_somebody_deletes_of_a_running_run_ends_it(tmp_path, deleted):
     assert not (tmp_path / "summary.json").exists()
 
 
-def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path):
+def test_a_stopped_run_says_what_is_safe_and_how_to_go_on(tmp_path, monkeypatch):
     run = Run(tmp_path / "run", config())
     assert run.how_to_go_on() == "nothing of this run was saved"
     begin(run)
     again = f"resume with: python recipes/train.py resume={tmp_path / 'run'}"
     assert run.how_to_go_on() == f"it has no checkpoint yet; {again}"
     run.save(state(10))
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match=r"No space left on device: .*20\.pt"):
+            run.save(state(20))
+    assert [file.name for file in (tmp_path / "run" / "checkpoints").iterdir()] == ["000000000010.pt"]
     assert run.how_to_go_on() == f"its last checkpoint is safe; {again}"
     run.finish(state(10), {})
     run.clean_up({})
