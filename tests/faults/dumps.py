@@ -2,9 +2,11 @@
 
     nice python tests/faults/dumps.py count=10000 seed=7
 
-Each file is damaged in one of the ways of damage.py and read in a process that is forked from one that has everything
-imported. What crashes or hangs there is read once more as a user reads it, by `read_dump`; so is every fiftieth file.
-The same seed damages the same files. The exit status is 1 if a file was not read as it should be; those are listed.
+Each file is damaged in one of `WAYS` and read in a process that is forked from one that has everything imported. What
+crashes or hangs there is read once more as a user reads it, by `read_dump`; so is every fiftieth file. The same seed
+damages the same files. The exit status is 1 if a file was not read as it should be; those are listed.
+
+What is well stored and makes no sense, as another type, shape or value, is in tests/scenes/io/test_malformed_dumps.py.
 """
 
 import gc
@@ -19,7 +21,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 from campaign import conclude, in_a_fork, start
-from damage import WAYS
 from rooms import grid_scene, published_dump, read_here
 
 from dirl.scenes import SceneError, read_dump, write_dump
@@ -34,6 +35,73 @@ SAME, CHANGED, LINE = "read, and as it was", "read, and changed", "refused with 
 CRASHED, SLOW = "refused with one line: libhdf5 crashed", "refused with one line: out of time"
 SILENT, TRACEBACK, LOST = "CHANGED IN SPITE OF A DIGEST", "TRACEBACK", "NO LINE FROM read_dump"
 FAILURES = (SILENT, TRACEBACK, LOST)
+
+
+def flip_bits(path, rng, start=0, stop=None):
+    """Flip up to four bits between two places of the file."""
+    content = bytearray(path.read_bytes())
+    stop = min(stop or len(content), len(content))
+    for _ in range(rng.integers(1, 5)):
+        content[int(rng.integers(max(start, 0), stop))] ^= 1 << rng.integers(8)
+    path.write_bytes(content)
+
+
+def anywhere(rng, path):
+    flip_bits(path, rng)
+
+
+def in_the_metadata(rng, path):
+    """Where HDF5 keeps its tables: around the signatures of its structures."""
+    content = path.read_bytes()
+    signs = [b"\x89HDF", b"TREE", b"HEAP", b"SNOD", b"GCOL", b"graph", b"digest", b"name", b"goals"]
+    at = int(rng.choice([at for sign in signs if (at := content.find(sign)) >= 0]))
+    flip_bits(path, rng, at - 64, at + 512)
+
+
+def in_a_header(rng, path):
+    """The header of one dataset: its type, shape, storage and attributes."""
+    with h5py.File(path) as file:
+        start = h5py.h5o.get_info(file[str(rng.choice(list(file)))].id).addr
+    flip_bits(path, rng, start, start + 300)
+
+
+def overwrite(rng, path):
+    """Up to 512 bytes with noise or with one value; or they are lost, or all to the end."""
+    content = bytearray(path.read_bytes())
+    at, length = int(rng.integers(len(content))), int(rng.choice([rng.integers(1, 65), 512]))
+    other = [rng.bytes(length), bytes([rng.choice([0, 255])]) * length, b"", b""][rng.integers(4)]
+    content[at : at + length if other or rng.random() < 0.5 else None] = other
+    path.write_bytes(content)
+
+
+def break_a_chunk(rng, path):
+    """Noise in the place of the chunk that the filters of a dataset expect, often shorter than that."""
+    filters = [{"compression": "gzip"}, {"shuffle": True, "fletcher32": True}, {"compression": "lzf"}]
+    with h5py.File(path, "a") as file:
+        name = str(rng.choice([name for name in file if file[name].dtype.kind != "O"]))
+        values = file[name][:]
+        del file[name]
+        dataset = file.create_dataset(name, data=values, chunks=values.shape, **filters[rng.integers(3)])
+        length = int(rng.integers(1, 40)) if rng.random() < 0.5 else values.nbytes
+        dataset.id.write_direct_chunk((0,) * values.ndim, rng.bytes(length), int(rng.integers(4)))
+
+
+def change_a_view(rng, path):
+    with h5py.File(path, "a") as file:
+        if "observation_webp" not in file:
+            file["observation"][rng.integers(24)] += 1
+            return
+        state = int(rng.integers(24))
+        view = bytearray(file["observation_webp"][state].tobytes())
+        if rng.random() < 0.5:
+            view = view[: rng.integers(len(view))]
+        else:
+            view[rng.integers(len(view))] ^= 1 << rng.integers(8)
+        file["observation_webp"][state] = np.frombuffer(bytes(view) or b"%!PS", np.uint8)
+
+
+WAYS = (anywhere, in_the_metadata, in_a_header, overwrite, break_a_chunk, change_a_view)
+"""Each is given a generator of random numbers and the path of a good file, and changes it."""
 
 
 def bases(folder):

@@ -60,6 +60,14 @@ def done(folder, name, *arguments):
     return printed
 
 
+def evaluated(run, *options):
+    """Evaluate a run, which must succeed; what was printed, and the measures."""
+    file = run.parent / "evaluated.json"
+    file.unlink(missing_ok=True)
+    printed = done(run.parent, "evaluate", f"checkpoint={run}", f"out={file}", *options)
+    return printed, json.loads(file.read_text())
+
+
 def summary_of(run):
     """The summary of a finished run."""
     return json.loads((run / "summary.json").read_text())

@@ -1,13 +1,12 @@
 """The systems beside DIRL: two that learn nothing, DAgger, and workers that learn at the same time."""
 
-import json
 import runpy
 import signal
 import sys
 
 import pytest
 import torch
-from commands import ROOT, TINY, done, room_file, run_recipe, start_recipe, summary_of, wait_until
+from commands import ROOT, TINY, done, evaluated, room_file, rows_of, run_recipe, start_recipe, summary_of, wait_until
 from parts import make_parts
 from refusals import refused
 
@@ -29,48 +28,44 @@ def test_a_system_that_learns_nothing_is_measured_like_the_others(tmp_path, syst
 def test_a_memory_that_localises_goes_on_with_the_map_of_a_walk(tmp_path):
     """Of a policy that has hardly learnt, in a room that changes."""
     room = room_file(tmp_path, looks=2, patches=True)
-    options = [f"scene={room}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run"]
-    done(tmp_path, "train", *options)
+    done(tmp_path, "train", f"scene={room}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run")
     (tmp_path / "odds.yaml").write_text("_target_: odds.Odds\n")
-    asked = ["checkpoint=run", "recogniser=odds.yaml", "trust=[odds]", "episodic_memory=localising", "stop=match"]
-    found = {}
+    asked = ["recogniser=odds.yaml", "trust=[odds]", "episodic_memory=localising", "stop=match"]
+    spl = []
     for mapped in ([], ["map=3"]):
-        out = f"{len(mapped)}.json"
-        printed = done(tmp_path, "evaluate", *asked, f"out={out}", *mapped)
-        found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
+        printed, found = evaluated(tmp_path / "run", *asked, *mapped)
+        spl.append(found["greedy"]["spl"])
         assert ("1.00 nodes a state, 100 % of the states, 0.0 % of the moves wrong" in printed) == bool(mapped)
-    assert found["1.json"] > 0.95 > found["0.json"]
-    status, _, errors = run_recipe(tmp_path, "evaluate", *asked, "map=3", "last_steps=0")
-    assert status == 1
-    assert "last_steps=0: a memory that localises knows its map to the end; leave it out" in errors.splitlines()[-1]
+    assert spl[1] > 0.95 > spl[0]
+    _, _, errors = run_recipe(tmp_path, "evaluate", "checkpoint=run", *asked, "map=3", "last_steps=0")
+    assert errors.endswith("last_steps=0: a memory that localises knows its map to the end; leave it out\n")
 
 
 def test_a_map_leads_a_policy_to_the_last_steps_that_are_given(tmp_path):
     """Of a policy that has hardly learnt: the nearer to the goal the map leads it, the more often it arrives."""
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=il", "imitation.fraction=0.1", "hydra.run.dir=run"]
     done(tmp_path, "train", *options)
-    found = {}
-    for last_steps in ([], ["last_steps=0"]):
-        out = f"{len(last_steps)}.json"
-        led = ["checkpoint=run", "map=2", f"out={out}", "viewer=true", *last_steps]
-        done(tmp_path, "evaluate", *led)
-        found[out] = json.loads((tmp_path / out).read_text())["greedy"]["spl"]
+    spl = []
+    for last_steps, told in (
+        ([], "the greedy policy decides the last 3 steps"),
+        (["last_steps=0"], "map of one walk to the goal"),
+    ):
+        _, found = evaluated(tmp_path / "run", "map=2", "viewer=true", *last_steps)
+        spl.append(found["greedy"]["spl"])
         (page,) = (tmp_path / "run").glob("viewer_*.html")
-        told = "map of one walk to the goal" if last_steps else "the greedy policy decides the last 3 steps"
         assert told in page.read_text()
-    assert found["1.json"] > 0.95 > found["0.json"]
-    done(tmp_path, "evaluate", "checkpoint=run", "arrows=true", "out=arrows.json")
-    assert json.loads((tmp_path / "arrows.json").read_text())["greedy"]["sr"] > 0
+    assert spl[1] > 0.95 > spl[0]
+    _, found = evaluated(tmp_path / "run", "arrows=true")
+    assert found["greedy"]["sr"] > 0
 
 
 def test_dagger_labels_more_states_every_round_and_clones_better_than_before(tmp_path):
     sizes = ["reinforcement.agents_per_scene=20", "imitation.fraction=0.1", "imitation.rounds=3", "imitation.lr=3e-3"]
     options = [f"scene={room_file(tmp_path)}", *TINY, "system=dagger", *sizes, "hydra.run.dir=run"]
     done(tmp_path, "train", *options)
-    lines = [line.split(",") for line in (tmp_path / "run" / "dagger.csv").read_text().splitlines()]
-    rows = [dict(zip(lines[0], map(float, line), strict=True)) for line in lines[1:]]
-    assert [row["frames"] for row in rows] == [400, 800, 1200]
-    labels = [row["labels"] for row in rows]
+    rows = rows_of(tmp_path / "run" / "dagger.csv")
+    assert [row["frames"] for row in rows] == ["400", "800", "1200"]
+    labels = [int(row["labels"]) for row in rows]
     assert labels == sorted(labels)
     assert labels[-1] > 3 * 4  # the demonstrations: 2 states for each goal
     summary = summary_of(tmp_path / "run")

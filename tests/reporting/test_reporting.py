@@ -1,4 +1,4 @@
-"""Tables, learning curves, and paths on the map."""
+"""Tables, of sweeps too, learning curves, maps of a policy, and paths on the map."""
 
 import json
 import math
@@ -6,20 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
+from omegaconf import OmegaConf
 from PIL import Image
 from rooms import CELL, grid_scene, renumbered
 
-from dirl.reporting import draw_learning_curve, draw_trajectories, result_table, run_title, summary_table
+from dirl.reporting import draw_learning_curve, draw_trajectories, result_table, run_title, summary_table, write_gif
+from dirl.reporting.curves import common_frames
+from dirl.reporting.maps import never_arrives
+from dirl.reporting.pictures import MAX_FRAMES
 from dirl.reporting.statistics import mean_interval
 from dirl.reporting.style import write_figure
+from dirl.reporting.sweeps import SweepTable, seed_table
 from dirl.reporting.tables import read_columns
 from dirl.reporting.trajectories import path_actions
 from dirl.scenes import read_dump
+from dirl.scenes.graph import AHEAD, RIGHT
 
 MEASURES = {"atl": 146.194, "atl_success": 9.5, "sr": 0.998, "spl": 0.9, "shortest": 12.66}
 MEASURES |= {"false_stop_rate": 0.25, "missed_stop_rate": 0.0, "episodes": 10_000}
@@ -124,6 +131,42 @@ def test_facts_of_a_run_are_said_as_people_say_them():
     assert "rooms, synthetic" not in run_title({**SUMMARY, "source": "thor"})
 
 
+def summary_of_a_seed(seed, spl, stable):
+    facts = {"scene": "room", "source": "rooms", "system": "dirl", "preset": "fast", "seed": seed}
+    return {**facts, "greedy": {"sr": 1.0, "spl": spl, "atl": 7.0}, "stable_at_frame": stable}
+
+
+RUNS = [
+    summary_of_a_seed(0, 0.9, 20_000),
+    summary_of_a_seed(1, 0.8, 40_000),
+    summary_of_a_seed(2, 1.0, 30_000),
+    summary_of_a_seed(3, 0.9, None),
+]
+
+
+def test_the_spread_is_that_of_the_values_and_runs_that_never_were_stable_are_counted():
+    rows = cells(seed_table(RUNS))
+    assert ["SPL", "4 of 4", "0.900", "0.071", "0.800", "0.875", "0.900", "0.925", "1.000"] in rows
+    assert rows[-1][:3] == ["stable at", "3 of 4", "30,000"]
+    assert seed_table([summary_of_a_seed(0, 0.9, None)]).splitlines()[-1].startswith("| stable at | 0 of 1 | - |")
+
+
+@pytest.mark.parametrize("other", [{}, {"optimiser": {"lr": 0.1}}])
+def test_a_sweep_is_a_table_and_one_over_seeds_alone_is_told(other, tmp_path, capsys):
+    for run in RUNS:
+        folder = tmp_path / str(run["seed"])
+        folder.mkdir()
+        (folder / "summary.json").write_text(json.dumps(run))
+        config = {"seed": run["seed"], "optimiser": {"lr": 0.001}} | (other if run["seed"] == 3 else {})
+        (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    overrides = {"task": ["seed=1,2", "optimiser.lr=1,2"]}
+    swept = {"hydra": {"sweep": {"dir": str(tmp_path)}, "overrides": overrides, "sweeper": {}}}
+    SweepTable().on_multirun_end(OmegaConf.create(swept))
+    printed = capsys.readouterr().out
+    assert ("| 1: lr=0.001, seed=1 " if other else "| 1: seed=1 ") in printed
+    assert ("Over the seeds" in printed) is not bool(other)
+
+
 @pytest.fixture
 def drawn(monkeypatch):
     """The figures that were written to files."""
@@ -217,6 +260,14 @@ def test_a_curve_of_imitation_alone_shows_its_loss_and_accuracy(run):
     assert list(lines(lower).values()) == [[[1, 2, 3], [0.15, 0.75, 1]]]
 
 
+def test_runs_are_compared_where_all_of_them_have_values():
+    frames, values = common_frames(
+        [(np.array([0.0, 10, 20]), np.array([0.0, 1, 2])), (np.array([5.0, 15]), np.ones(2))]
+    )
+    assert frames.tolist() == [5, 10, 15]
+    assert values.tolist() == [[0.5, 1, 1.5], [1, 1, 1]]
+
+
 # Directions on the map
 
 
@@ -243,7 +294,24 @@ def test_headings_point_where_moving_ahead_leads_however_the_file_counts_them():
     assert replace(room, positions=room.positions * 3).step_length == pytest.approx(3 * CELL)
 
 
+def test_states_whose_actions_end_in_a_loop_never_arrive():
+    scene = grid_scene(3, 2)
+    lost = never_arrives(scene, 0, np.full(len(scene), RIGHT))
+    assert np.flatnonzero(~lost).tolist() == [0, 1, 2, 3]  # the goal's place, where turning finds its heading
+    lost = never_arrives(scene, 12, np.full(len(scene), AHEAD))
+    assert np.flatnonzero(~lost).tolist() == [0, 12]
+    apart = grid_scene(3, 1, blocked=[(1, 0)])  # from the second place no policy could arrive
+    assert not never_arrives(apart, 0, np.full(len(apart), RIGHT)).any()
+
+
 # Paths
+
+
+def test_gif_has_a_frame_for_each_state_up_to_a_limit(tmp_path):
+    for path, frames in (([7, 4, 5, 6], 4), ([1, 2, 3, 0] * 50, MAX_FRAMES)):
+        write_gif(grid_scene(), 0, path, tmp_path / "e.gif", title="an episode", success=False)
+        with Image.open(tmp_path / "e.gif") as image:
+            assert image.n_frames == frames
 
 
 def test_path_actions_are_read_off_the_graph(scene):

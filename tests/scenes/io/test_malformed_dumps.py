@@ -77,6 +77,7 @@ CASES = [
     (attribute("goals", [3, 4, 3]), "attribute 'goals': names state 3 twice"),
     (attribute("goals", np.arange(8000)), "attribute 'goals': names 8000 goals of 24 states"),
     (attribute("goals", "abc"), "attribute 'goals': expected a list of states (integers), found 'abc'"),
+    (attribute("goals", h5py.Empty("f4")), "attribute 'goals': expected a list of states (integers), found Empty"),
     (attribute("actions", ["ahead", "right", "left"]), "attribute 'actions': expected ['ahead', 'right', 'left', 'bac"),
     (attribute("name", np.bytes_(b"\xff\xfe")), "attribute 'name': expected text, found b'"),
     (attribute("source", "thor\nrooms"), "attribute 'source': expected one line of text, found 'thor"),
