@@ -18,7 +18,6 @@ import torch
 from closet import dim_light
 from commands import ROOT
 from PIL import Image
-from scipy.special import log_softmax
 
 from dirl.models import PlanningMemory
 from dirl.scenes import load_scenes, write_dump
@@ -101,33 +100,6 @@ def test_page_and_models_are_small_and_without_npm_the_site_says_so(demo, site, 
     with pytest.raises(RuntimeError, match="npm is not installed"):
         demo.build(tmp_path / "demo", tmp_path / "cache")
     assert not (tmp_path / "demo").exists()
-
-
-def test_the_exported_memory_plans_as_the_memory_does(site):
-    """Through random walks with quarter turns and smaller ones."""
-    session = pytest.importorskip("onnxruntime").InferenceSession(site / "memory.onnx")
-    memory, draw = PlanningMemory(), np.random.default_rng(0)
-    for turns in [4, 8] * 5:
-        walked = memory.begin(torch.tensor([turns]))
-        unknown = np.full((1, 4, 4), -1, np.int64)
-        known = [np.full((1, 4, 4), np.inf, np.float32), unknown, unknown]
-        known += [np.zeros((1, 4, 4), bool), np.zeros((1, 4), bool), np.array([-1])]
-        action = -1
-        for _ in range(20):
-            same = np.zeros((1, walked.cost.shape[1]), bool)
-            used = np.flatnonzero(walked.used[0].numpy())
-            if len(used) and draw.random() < 0.4:
-                same[0, draw.choice(used)] = True
-            logits, seen = draw.normal(0, 3, (1, 4, 4)).astype(np.float32), draw.random((1, 4)) < 0.02
-            walked = memory.arrive(walked, *map(torch.from_numpy, (same, -log_softmax(logits, -1), seen)))
-            names = ("same", "logits", "seen", "cost", "after", "ring", "taken", "goal", "here", "action", "quarter")
-            beside = np.concatenate([np.zeros((1, 4), bool), same], 1)
-            given = (beside, logits, seen, *known, np.array([action]), np.array([turns == 4]))
-            plan, *known = session.run(None, dict(zip(names, given, strict=True)))
-            expected = memory.plan(walked)
-            torch.testing.assert_close(torch.from_numpy(plan), expected, atol=1e-4, rtol=0)
-            action = int(expected.argmax())
-            walked.action = torch.tensor([action])
 
 
 @pytest.mark.parametrize("name", ["bathroom_02", "tour"])

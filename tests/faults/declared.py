@@ -7,7 +7,6 @@ came of it, seconds, and how much more memory it took than the process had. The 
 ended in a traceback, or in more than one line.
 """
 
-import hashlib
 import json
 import os
 import resource
@@ -15,7 +14,6 @@ import signal
 import struct
 import sys
 import tempfile
-import zipfile
 import zlib
 from functools import partial
 from pathlib import Path
@@ -32,7 +30,7 @@ from campaign import in_a_fork
 from dirl.agent.mapping.frames import FrameMap, load_frames_map
 from dirl.perception.matching import Described
 from dirl.reporting.inspection import draw_sheet
-from dirl.runs.checkpoints import DIGITS, SEAL, load_checkpoint
+from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes.io.files import read_weights
 from dirl.sources.photos import encoded_photos, read_photos
 from dirl.sources.rooms import read_description
@@ -79,14 +77,6 @@ def scenes_of_marzipano(count, **scene):
     return f"var APP_DATA = {{scenes: {text}}};"
 
 
-def multires(_):
-    scene = {
-        "type": "multires",
-        "multiRes": {"path": "%l%s%y%x", "cubeResolution": 2**15, "tileResolution": 512, "maxLevel": 16},
-    }
-    return json.dumps({"scenes": {str(number): scene for number in range(2000)}})
-
-
 def cut(file):
     """A view of each panorama of the tour that a file belongs to."""
     images = [one.image for one in read_tour(file.parent).panoramas]
@@ -120,28 +110,8 @@ def webp(_):
     return b"RIFF" + struct.pack("<I", 4 + len(chunk + pixel)) + b"WEBP" + chunk + pixel
 
 
-def many_headings(file):
-    """A table of 36,000 headings at each of two places."""
-    file.with_name("a.png").write_bytes(png(16, 12))
-    lines = ["image,location,heading,x,z,ahead"]
-    for place, x, ahead in (("a", 0, "b"), ("b", 1, "")):
-        lines += [f"a.png,{place},{heading / 100},{x},0,{ahead}" for heading in range(36_000)]
-    return "\n".join(lines)
-
-
 def weights(file):
     torch.save({"a": torch.zeros(1, dtype=torch.float16).expand(7 * 10**8)}, file)
-
-
-def frames_map(file):
-    """24 MB of zeros that unpack to 5.4 GB, sealed as a map is."""
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        with archive.open("map/data/0", "w", force_zip64=True) as stream:
-            for _ in range(600):
-                stream.write(bytes(9_000_000))
-        archive.comment = SEAL + bytes(DIGITS)
-    body = file.read_bytes()[:-DIGITS]
-    file.write_bytes(body + hashlib.sha256(body).hexdigest().encode())
 
 
 def pictures_of_a_map(file):
@@ -187,7 +157,6 @@ CASES = {
     "tiles of one pixel": tour("data.js", lambda _: scenes_of_marzipano(200, levels=TILES)),
     "an address with 300,000 zeros": tour("tour.xml", KRPANO % f"%{'0' * 300_000}s.jpg"),
     "5 million elements": tour("tour.xml", lambda _: f"<krpano>{'<a/>' * 1_500_000}</krpano>"),
-    "2,000 cubes of 64 tiles a side": tour("tour.json", multires),
     "a large panorama": panorama(28_000, 14_000),
     "a panorama as large as may be": panorama(19_998, 9_999, colour=2),
     "a face of a cube as large as may be": ("a.png", cube, cut),
@@ -195,7 +164,6 @@ CASES = {
     "a photograph as large as may be": ("a.png", lambda _: png(15_000, 13_300, colour=6), encoded),
     "a large canvas of WebP": ("a.webp", webp, encoded),
     "a large photo to go to": ("a.png", lambda _: png(16_384, 16_384, colour=6), read_photo),
-    "36,000 headings": ("states.csv", many_headings, of_its_folder(read_photos)),
     "a sparse states.csv": ("states.csv", sparse, of_its_folder(read_photos)),
     "a sparse checkpoint": ("network.pt", sparse, of_its_folder(load_checkpoint)),
     "weights that repeat a number": ("a.pt", weights, read_weights),
@@ -203,14 +171,13 @@ CASES = {
     "a pipe for a room": ("a.toml", os.mkfifo, read_description),
     "functions without end": tour("index.html", "scenes: {" + ":function(){:a=>{:function(" * 200_000),
     "a WAD of 44 bytes": ("a.wad", WAD, lambda file: _check_map(file, "map01")),
-    "a map of 5.4 GB": ("a.pt", frames_map, load_frames_map),
     "pictures of a map": ("a.pt", pictures_of_a_map, draw),
     "a chunk of 4 GB in an MCAP file": ("a.mcap", mcap, lambda file: list(Recording(file))),
     "a description of tables": ("a.toml", "a = " + "[" * 100_000, read_description),
 }
 """Each the name of a file, what it holds, or a function that tells or makes it, and what reads it."""
 
-SLOW = ("as large as may be", "a map of", "a large photo to go to", "36,000 headings", "5 million elements")
+SLOW = ("as large as may be", "a large photo to go to", "5 million elements")
 """In the names of cases that take seconds or gigabytes."""
 
 

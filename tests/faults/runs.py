@@ -1,31 +1,40 @@
 """Break runs and machines: how often each thing was as promised.
 
     python tests/faults/runs.py                                            # a minute
-    python tests/faults/runs.py kills=200 faults=200 signals=50 seed=1
+    python tests/faults/runs.py kills=200 faults=200 signals=50 early=20 seed=1
 
-Ends with status 1 if anything was not as docs/reliability.md promises, after a line for each such case.
+Ends with status 1 if anything was not as docs/reliability.md promises, after a line for each such case. ``early`` is
+blamed for what other programs put into /dev/shm meanwhile; docs/reliability.md says how it gets one of its own.
 """
 
 import json
 import os
 import random
 import resource
+import secrets
 import shutil
 import signal
 import tempfile
 import time
+from contextlib import suppress
+from functools import partial
 from itertools import count
 from pathlib import Path
 
 from campaign import conclude, start
 from commands import SHORT, have_the_same_weights, room_file, rows_of, summary_of
-from forks import Child, no_pictures, run, warm_up
+from forks import Child, no_pictures, processor_seconds, run, warm_up
 from injection import KINDS, Faults
 
 from dirl.runs.checkpoints import is_finished, training_checkpoints
 
-COUNTS = {"kills": 4, "signals": 2, "faults": 6, "machine": 1, "seed": 0}
+COUNTS = {"kills": 4, "signals": 2, "faults": 6, "machine": 1, "early": 1, "seed": 0}
 """How often each thing is tried; ``machine`` is a round of the cases that stand for themselves."""
+
+ROOMS = "sample kind=bathroom out=rooms height=16 width=16 encoder=null fine=false workers=2 count=2"
+SHARED = Path("/dev/shm")
+PATIENCE = 60.0
+"""Seconds in which what a killed program has started must end; on a busy machine what still imports sees it late."""
 
 TIMES = ("seconds", "frames_per_second", "peak_memory_mb")
 """What differs from run to run."""
@@ -181,14 +190,53 @@ def deleted_folder(bench):
     return refused(child.wait(), 74)
 
 
-CASES = {"kills": kills, "signals": signals, "faults": faults, "machine": machine}
+def early(bench, times, rng):
+    """SIGKILL within a second of a program with processes of its own: nothing of it stays, and the same works then."""
+    programs = {"train": [f"scene={bench.scene}", *SHORT, "system=a3c"], "scenes": ROOMS.split()}
+    for name, words in programs.items():
+        folder = bench.new_folder()
+        folder.mkdir()
+        for _ in range(times):
+            word, before = secrets.token_hex(8), set(SHARED.iterdir())
+            delay, began = rng.uniform(0, 1), time.monotonic()
+            child = Child(folder, name, *words, prepare=partial(os.environ.update, DIRL_EARLY=word))
+            while time.monotonic() < began + 3 * delay and processor_seconds(child.pid) < delay:
+                time.sleep(0.005)
+            child.send_signal()
+            child.wait()
+            left = left_behind(word, before)
+            yield f"{name}, killed after {delay:.2f} s", f"left {left}" if left else ""
+        ended = run(folder, name, *words)
+        yield f"{name}, after its kills", f"status {ended.status}, {ended.told}" if ended.status else ""
+
+
+def left_behind(word, before):
+    """The processes with a word in their environment, and what is new in shared memory, after some time; all end."""
+    ends = time.monotonic() + PATIENCE
+    while (left := [*of_word(word), *(set(SHARED.iterdir()) - before)]) and time.monotonic() < ends:
+        time.sleep(0.2)
+    for one in left:
+        with suppress(OSError, TypeError):
+            os.kill(one, signal.SIGKILL)
+    return left
+
+
+def of_word(word):
+    """The processes that have a word in their environment."""
+    for file in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):
+            if word.encode() in file.read_bytes():
+                yield int(file.parent.name)
+
+
+CASES = {"kills": kills, "signals": signals, "faults": faults, "machine": machine, "early": early}
 """Each takes a `Bench`, how often, and a random number generator; yields what was done, and what was wrong with it."""
 
 
 def main(**given):
     """Try everything so often; how much was not as promised."""
     counts = COUNTS | given
-    warm_up("train")
+    warm_up("train", "scenes")
     folder = Path(tempfile.mkdtemp(prefix="faults-"))
     try:
         bench = Bench(folder)
