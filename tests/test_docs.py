@@ -11,7 +11,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
@@ -21,13 +20,11 @@ import torch
 from closet import dim_light
 from commands import ROOT, TINY, start_recipe
 from filelock import FileLock
-from forks import empty_file
+from forks import no_pictures
 from networks import coarse_networks
 
 from dirl.config.folders import VARIABLE
-from dirl.reporting import pictures, trajectories
 from dirl.scenes.views import encode
-from dirl.training import job
 
 DOCS = ROOT / "docs"
 NOTEBOOK = DOCS / "tutorials" / "notebook.ipynb"
@@ -134,19 +131,10 @@ def run_command(words, monkeypatch):
         words += [option for option in QUICK.get(words[1], ()) if option.partition("=")[0] not in given]
         words += ["hydra.sweeper.n_trials=2"] if "hydra/sweeper" in given else []
     monkeypatch.setattr(sys, "argv", words[1:])
-    with no_pictures(monkeypatch) if words[1] in QUICK else nullcontext():
-        runpy.run_path(str(ROOT / words[1]), run_name="__main__")
-
-
-@contextmanager
-def no_pictures(monkeypatch):
-    """Leave the pictures of trainings and evaluations empty, which are looked at in test_platforms.py."""
     with monkeypatch.context() as patch:
-        patch.setattr(job, "draw_learning_curve", lambda folder, file: empty_file(file))
-        patch.setattr(pictures, "draw_policy", empty_file)
-        patch.setattr(trajectories, "draw_trajectories", empty_file)
-        patch.setattr(pictures, "write_gif", empty_file)
-        yield
+        if words[1] in QUICK:  # their pictures are looked at in test_platforms.py
+            no_pictures(patch.setattr)
+        runpy.run_path(str(ROOT / words[1]), run_name="__main__")
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +212,8 @@ def run_block(block, page, names, monkeypatch):
         return
     text = shorter(page, text)
     if language == "python":
-        with no_pictures(monkeypatch):
+        with monkeypatch.context() as patch:
+            no_pictures(patch.setattr)
             exec(compile(text, str(page), "exec"), names)
     elif language == "bash":
         for words in shell_words(text):

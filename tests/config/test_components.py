@@ -74,6 +74,7 @@ def test_a_class_is_made_of_its_options_and_of_what_it_is_offered(target):
         ({}, "encoder.depth: Mine needs it; give encoder.depth=..."),
         ({"depth": 2, "dept": 3}, "there is no option 'encoder.dept'; did you mean encoder.depth?"),
         ({"depth": 2, "num_features": 3}, "there is no option 'encoder.num_features'; choose from depth, kind, plain"),
+        ({"depth": None}, "encoder.depth=null: must be a valid integer"),
         ({"depth": 0}, "encoder.depth=0: must be greater than or equal to 1"),
         ({"depth": 2, "plain": {"_target_": "os.system"}}, "encoder.plain: a component cannot hold another one"),
     ],

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -24,6 +25,9 @@ from dirl.training.build import load_trained
 
 SMALL = [option for option in TINY if not option.startswith(("seed=", "imitation.", "reinforcement.frames"))]
 SMALL += ["imitation.max_steps=5", "reinforcement.frames_per_scene=150"]
+
+COMPARED = ["network.components=8", "encoder.width=32", "heads.width=32", "imitation.batch_size=64"]
+"""Of a small network that compares its goals."""
 
 
 def summaries(folder):
@@ -104,30 +108,28 @@ def test_runs_of_different_scenes_are_not_reported_together_nor_none(tmp_path, m
     refused(r"recipes/train\.py -m experiment=fig8", chosen, parse(Options, ["experiment=fig8"]))
 
 
-def test_a_grid_that_is_given_again_makes_what_is_missing_and_takes_no_other_options(tmp_path):
-    options = ["-m", "experiment=fig4", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl"]
-    done(tmp_path, "train", *options, "seed=0")
+def test_a_grid_that_is_given_again_makes_what_is_missing_and_takes_no_other_options(grid, tmp_path):
+    shutil.copytree(grid / "runs", tmp_path / "runs")
+    options = ["-m", "experiment=fig4", f"scene={grid / 'room.h5'}", *SMALL, "system=dirl"]
     first = tmp_path / "runs/experiments/fast/dirl_random_0.05_0/summary.json"
     before = first.stat().st_mtime_ns
-    assert f"finished before: {first.parent.relative_to(tmp_path)}" in done(tmp_path, "train", *options, "seed=0,1")
-    assert set(summaries(tmp_path)) == {f"dirl_random_0.05_{seed}" for seed in (0, 1)}
+    assert f"finished before: {first.parent.relative_to(tmp_path)}" in done(tmp_path, "train", *options, "seed=0,2")
+    assert set(summaries(tmp_path)) == {*summaries(grid), "dirl_random_0.05_2"}
     assert first.stat().st_mtime_ns == before
     status, _, errors = run_recipe(tmp_path, "train", *options, "seed=1", "evaluation.max_steps=49")
     assert status == 1
     assert "evaluation.max_steps=50 instead of 49" in errors
 
 
-def test_jobs_side_by_side_give_what_they_give_alone_and_a_failed_one_loses_none(tmp_path, monkeypatch):
+def test_jobs_side_by_side_give_what_they_give_alone_and_a_failed_one_loses_none(grid, tmp_path):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # sums depend on the number of threads
-    options = [f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
-    sweep = ["-m", "experiment=table2", *options, "reinforcement.gamma=1.5,0.9"]
-    sweep += ["hydra.sweep.subdir=${reinforcement.gamma}", "hydra/launcher=cores", "hydra.sweep.dir=together"]
-    status, _, errors = run_recipe(tmp_path, "train", *sweep)
+    sweep = ["-m", "experiment=table2", f"scene={room_file(tmp_path)}", *SMALL, "system=dirl", "seed=0"]
+    sweep += ["reinforcement.gamma=1.5,0.95", "hydra.sweep.subdir=${reinforcement.gamma}"]
+    status, _, errors = run_recipe(tmp_path, "train", *sweep, "hydra/launcher=cores", "hydra.sweep.dir=together")
     assert status == 1
     assert "failed: together/1.5: reinforcement.gamma=1.5" in errors
-    done(tmp_path, "train", "experiment=table2", *options, "reinforcement.gamma=0.9", "hydra.run.dir=alone")
-    assert have_the_same_weights(tmp_path / "alone", tmp_path / "together" / "0.9")
+    alone = grid / "runs/experiments/fast/dirl_random_0.05_0"
+    assert have_the_same_weights(alone, tmp_path / "together" / "0.95")
 
 
 def test_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter():
@@ -161,10 +163,9 @@ def test_new_goals_are_as_far_from_the_nearest_trained_one_as_is_asked():
 
 def test_dirl_with_compared_goals_is_shown_the_way_to_other_goals_than_its_own(tmp_path):
     """At 12 of 24 states, to every place that is not held out: 16 goals, of which the run has two."""
-    options = [f"scene={room_file(tmp_path, patches=True)}", "network.components=8", "encoder.width=32"]
-    options += ["heads.width=32", "hold_out=0.34"]
-    options += ["imitation.batch_size=64", "imitation.max_steps=20", "evaluation.max_steps=30", "imitation.noise=0.5"]
-    options += ["imitation.fraction=0.5", "reinforcement.frames_per_scene=400", "reinforcement.agents_per_scene=4"]
+    options = [f"scene={room_file(tmp_path, patches=True)}", *COMPARED, "hold_out=0.34", "imitation.max_steps=20"]
+    options += ["imitation.noise=0.5", "imitation.fraction=0.5", "evaluation.max_steps=30"]
+    options += ["reinforcement.frames_per_scene=400", "reinforcement.agents_per_scene=4"]
     line = ["experiment=table2", "system=dirl_compared", *options, "hydra.run.dir=runs/experiments/fast/compared"]
     done(tmp_path, "train", *line)
     assert summaries(tmp_path)["compared"]["demonstrations"] == 12 * 16
@@ -177,8 +178,7 @@ def test_some_rooms_of_a_collection_are_trained_on_and_others_tested(tmp_path):
     for seed in (30000, 30001, 10000):  # by which they are of a split
         room = grid_scene(name=f"bathroom_{seed}", goals=(0,), patches=True, seed=seed, feature_width=32)
         write_dump(tmp_path / "rooms" / f"{room.name}.h5", room)
-    options = ["scene=collection:rooms", "network.components=8", "encoder.width=32", "heads.width=32", "rooms=2"]
-    options += ["imitation.batch_size=64", "imitation.max_steps=5", "seed=0"]
+    options = ["scene=collection:rooms", *COMPARED, "rooms=2", "imitation.max_steps=5", "seed=0"]
     done(tmp_path, "train", "-m", "experiment=unseen_rooms", *options)
     (run,) = (file.parent for file in tmp_path.glob("runs/*/*/*_2_comparing_0/network.pt"))
     elsewhere = {"scene": f"collection:{tmp_path / 'rooms'}"}  # the collection has moved; its test rooms stay out

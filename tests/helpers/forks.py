@@ -117,14 +117,15 @@ def compose_once():
     return patch.object(Hydra, "get_mode", given_mode)
 
 
-def no_pictures():
+def no_pictures(patch=setattr):
     """Leave the pictures empty, which take most of a short run's time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     from dirl.reporting import pictures, trajectories
 
-    FigureCanvasAgg.draw = leave_empty
-    pictures.draw_policy = trajectories.draw_trajectories = pictures.write_gif = empty_file
+    patch(FigureCanvasAgg, "draw", leave_empty)
+    for module, name in ((pictures, "draw_policy"), (trajectories, "draw_trajectories"), (pictures, "write_gif")):
+        patch(module, name, empty_file)
 
 
 def empty_file(*arguments, **options):

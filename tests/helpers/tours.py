@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from closet import closet
@@ -73,7 +74,7 @@ class Camera360:
 
     def __init__(self, room=None):
         self.renderer = None if room is None else Renderer.of(room, fine=False)
-        self.taken = {}
+        self._once = cache(self._take)
 
     def panorama(self, truth, index, width):
         """Equirectangular, ``[width / 2, width, 3]``."""
@@ -88,14 +89,11 @@ class Camera360:
         """What an agent would see there."""
         return self._once("view", (*place, heading), size, fov, 0.0)
 
-    def _once(self, kind, pose, size, fov=0.0, pitch=0.0):
-        key = (kind, *pose, size, fov, pitch)
+    def _take(self, kind, pose, size, fov=0.0, pitch=0.0):
         if self.renderer is None:
             return np.full((*size, 3), 128, np.uint8)
-        if key not in self.taken:
-            look = EYES if kind == "panorama" else Camera(EYES, pitch, fov)
-            self.taken[key] = getattr(self.renderer, kind)(look, pose, size)
-        return self.taken[key]
+        look = EYES if kind == "panorama" else Camera(EYES, pitch, fov)
+        return getattr(self.renderer, kind)(look, pose, size)
 
 
 def write_marzipano(folder, truth, camera, side=48):

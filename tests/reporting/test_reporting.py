@@ -202,13 +202,10 @@ def look_at(file, figure):
 
 # Learning curves
 
-REINFORCEMENT = [(1000, "", ""), (2000, 150, 180), (3000, "", 170), (4000, 8.5, 12)]
-EVALUATION = [(0, 197.5, 0.01, 0.005), (2000, 40, 0.8, 0.6), (4000, 7, 1, 0.9)]
-IMITATION = [(1, 1.39, 0.15), (2, 0.8, 0.75), (3, 0.1, 1)]
-HEADINGS = {
-    "reinforcement": "frames,atl,atl_worst_goal",
-    "evaluation": "frames,atl,sr,spl",
-    "imitation": "step,loss,accuracy",
+TABLES = {
+    "reinforcement": "frames,atl,atl_worst_goal\n1000,,\n2000,150,180\n3000,,170\n4000,8.5,12\n",
+    "evaluation": "frames,atl,sr,spl\n0,197.5,0.01,0.005\n2000,40,0.8,0.6\n4000,7,1,0.9\n",
+    "imitation": "step,loss,accuracy\n1,1.39,0.15\n2,0.8,0.75\n3,0.1,1\n",
 }
 
 
@@ -216,13 +213,12 @@ HEADINGS = {
 def run(tmp_path, drawn):
     """Writes a run's folder, draws it, and returns the figure."""
 
-    def draw(summary=(), **tables):
+    def draw(*stages, **summary):
         facts = {"scene": "room", "source": "rooms", "system": "dirl", "seed": 7, "frames": 4000}
-        facts |= {"stable_at_frame": 3500, "greedy": {"shortest": 6.13}} | dict(summary)
+        facts |= {"stable_at_frame": 3500, "greedy": {"shortest": 6.13}} | summary
         (tmp_path / "summary.json").write_text(json.dumps(facts))
-        for stage, rows in tables.items():
-            lines = [HEADINGS[stage], *(",".join(map(str, row)) for row in rows)]
-            (tmp_path / f"{stage}.csv").write_text("\n".join(lines) + "\n")
+        for stage in stages:
+            (tmp_path / f"{stage}.csv").write_text(TABLES[stage])
         draw_learning_curve(tmp_path, tmp_path / "curve.png")
         look_at(tmp_path / "curve.png", drawn[0])
         return drawn[0]
@@ -236,7 +232,7 @@ def lines(axes):
 
 
 def test_a_curve_shows_training_and_evaluation_and_where_the_policy_is_stable(run):
-    figure = run(reinforcement=REINFORCEMENT, evaluation=EVALUATION, imitation=IMITATION)
+    figure = run("reinforcement", "evaluation", "imitation")
     upper, lower = figure.axes
     atl, rates = lines(upper), lines(lower)
     assert figure.get_suptitle() == "DIRL, room (source: rooms, synthetic), seed 7"
@@ -254,7 +250,7 @@ def test_a_curve_shows_training_and_evaluation_and_where_the_policy_is_stable(ru
 
 
 def test_a_curve_of_imitation_alone_shows_its_loss_and_accuracy(run):
-    upper, lower = run({"frames": 0, "stable_at_frame": None}, imitation=IMITATION, evaluation=EVALUATION[:1]).axes
+    upper, lower = run("imitation", "evaluation", frames=0, stable_at_frame=None).axes
     assert (upper.get_ylabel(), lower.get_ylabel()) == ("loss", "accuracy")
     assert list(lines(upper).values()) == [[[1, 2, 3], [1.39, 0.8, 0.1]]]
     assert list(lines(lower).values()) == [[[1, 2, 3], [0.15, 0.75, 1]]]

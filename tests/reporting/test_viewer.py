@@ -152,10 +152,10 @@ def test_what_a_page_cannot_show_is_refused(tmp_path):
 
 @pytest.fixture
 def open_page(watched_tab, tmp_path):
-    """Open a room's page from its file."""
+    """Open the one page of a room from its file."""
 
-    def opened(room, address="", **options):
-        ((name, text),) = pages_of(room, **options).items()
+    def opened(pages, address=""):
+        ((name, text),) = pages.items()
         (tmp_path / name).write_text(text, encoding="utf-8")
         return watched_tab((tmp_path / name).as_uri() + address, (tmp_path / name).as_uri())
 
@@ -195,7 +195,7 @@ def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page,
     room = small_room(tmp_path, *options, headings=headings)
     goal_index, start = every_start(room.world)
     episodes, paths = room.protocol.trajectories(room.policy, (goal_index, start))
-    tab = open_page(room)
+    tab = open_page(pages_of(room))
     found = tab.evaluate(
         """cases => cases.map(([goal, start]) => {
             for (const [id, value] of [["goal", goal], ["start", start]]) {
@@ -218,7 +218,7 @@ def test_episodes_end_as_in_the_evaluation_from_every_start(tmp_path, open_page,
 
 def test_an_agent_goes_on_from_where_it_was_led_as_if_it_began_there(tmp_path, open_page):
     room = small_room(tmp_path, "episodic_memory=planning")
-    tab = open_page(room)
+    tab = open_page(pages_of(room))
     choose(tab, 1, 8)
     for key in "dad":
         tab.press("body", key)
@@ -228,7 +228,7 @@ def test_an_agent_goes_on_from_where_it_was_led_as_if_it_began_there(tmp_path, o
 
 def test_two_agents_walk_side_by_side(tmp_path, cloned, open_page):
     other = small_room(tmp_path)
-    tab = open_page(cloned, beside={"untrained": (other.policy, other.protocol)})
+    tab = open_page(pages_of(cloned, beside={"untrained": (other.policy, other.protocol)}))
     choose(tab, 1, 8)
     assert not tab.is_visible("#seen-beside")
     tab.select_option("#beside", "untrained")
@@ -246,7 +246,7 @@ def test_two_agents_walk_side_by_side(tmp_path, cloned, open_page):
 
 def test_a_link_leads_to_what_was_shown(tmp_path, open_page):
     room = small_room(tmp_path, "episodic_memory=planning")
-    tab = open_page(room)
+    tab = open_page(pages_of(room))
     choose(tab, 1, 8)
     tab.select_option("#agent", "without memory")
     tab.select_option("#beside", "shortest path")
@@ -254,7 +254,7 @@ def test_a_link_leads_to_what_was_shown(tmp_path, open_page):
         tab.press("body", key)
     seen, texts = shown(tab), [tab.inner_text(f"#{name}") for name in ("outcome", "outcome-beside", "goal-title")]
     tab.wait_for_url("**step=4**")  # not written at every step
-    tab = open_page(room, tab.evaluate("location.hash"))
+    tab = open_page(pages_of(room), tab.evaluate("location.hash"))
     assert shown(tab) == seen
     assert [tab.inner_text(f"#{name}") for name in ("outcome", "outcome-beside", "goal-title")] == texts
     assert tab.locator("#agent option:checked").inner_text() == "without memory"
@@ -267,7 +267,7 @@ def test_a_link_leads_to_what_was_shown(tmp_path, open_page):
 
 
 def test_an_episode_can_be_stepped_scrubbed_and_played(cloned, open_page):
-    tab = open_page(cloned)
+    tab = open_page(pages_of(cloned))
     choose(tab, 1, 8)
     assert tab.locator("#actions .chosen").count() == 1
     seen = walked(tab)
@@ -288,9 +288,9 @@ def test_an_episode_can_be_stepped_scrubbed_and_played(cloned, open_page):
 
 def test_keys_walk_the_room_and_views_and_bars_follow(tmp_path, open_page):
     room = small_room(tmp_path)
-    (page,) = pages_of(room).values()
-    scene, data = room.world.scenes[0], data_of(page)
-    tab = open_page(room)
+    pages = pages_of(room)
+    (scene,), (data,) = room.world.scenes, map(data_of, pages.values())
+    tab = open_page(pages)
     choose(tab, 0, 20)
     arrows, letters, state = ["ArrowUp", "ArrowRight", "ArrowLeft", "ArrowDown"], "wdas", 20
     for step, action in enumerate([1, 3, 0, 0, 2, 2, 0, 1, 3, 3, 3, 0], start=1):
@@ -323,19 +323,18 @@ def tour_world(folder):
     return make_world(load_scenes(str(folder / "tour.h5")))
 
 
-def test_a_tour_is_drawn_and_walked(watched_tab, tmp_path):
+def test_a_tour_is_drawn_and_walked(open_page, tmp_path):
     world = tour_world(tmp_path)
     memory = GraphMemory(world, 3.0)
-    ((name, text),) = viewer_pages(
+    pages = viewer_pages(
         GuidedPolicy(ShortestPathPolicy(world), memory, 3),
         EvaluationProtocol(world, SurroundingViews(world, "front"), every_start(world), max_steps=60),
         matching=TemplateStop(0.95, "front"),
         title="a test",
         graphs=memory.graphs,
         last_steps=3,
-    ).items()
-    (tmp_path / name).write_text(text, encoding="utf-8")
-    tab = watched_tab((tmp_path / name).as_uri())
+    )
+    tab = open_page(pages)
     assert tab.is_visible("#about-map")
     assert "known only by their links" in tab.inner_text("#about-map")
     assert tab.locator("#map line.link").count() == 7  # between three by two places, also where a way leads only back
@@ -349,11 +348,10 @@ def test_a_tour_is_drawn_and_walked(watched_tab, tmp_path):
     here = """[...document.querySelectorAll("#nodes circle")].findIndex((node) => node.classList.contains("here"))"""
     moves = world.scenes[0].graph[:, 0]
     start = int(np.flatnonzero(moves >= 0)[0])
-    tab.fill("#start", str(start))
-    tab.press("#start", "Enter")
+    choose(tab, 0, start)
     before = tab.evaluate(here)
     tab.press("body", "ArrowUp")
-    assert int(tab.evaluate("document.body.dataset.state")) == moves[start]
+    assert shown(tab) == (1, moves[start])
     assert tab.evaluate(here) not in (before, -1)
     assert tab.locator("#nodes .here").count() == tab.locator("#nodes .goal-node").count() == 1
     tab.press("body", "e")
