@@ -1,26 +1,13 @@
-"""What the campaigns share: their command lines, forks with limits, files to work on, and counts of outcomes."""
+"""What the campaigns share: their command lines, forks with limits, and counts of outcomes."""
 
 import os
 import resource
-import shutil
 import sys
-import tempfile
 from collections import Counter
-from contextlib import contextmanager
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "recipes"))
-
-import numpy as np
-from commands import SHORT
-from forks import run
-from PIL import Image
-from rooms import grid_scene
-from tours import written
-
-from dirl.scenes import write_dump
-from dirl.scenes.views import encode
 
 
 def start(main):
@@ -64,35 +51,3 @@ def in_a_fork(say, memory):
         said = stream.read().splitlines()
     _, status, usage = os.wait4(child, 0)
     return said, os.WTERMSIG(status), usage.ru_utime + usage.ru_stime
-
-
-@contextmanager
-def work():
-    """A folder with ``room.h5``, photographs, a tour, a map of a walk, and a finished run; it is removed at the end."""
-    folder = Path(tempfile.mkdtemp())  # a TemporaryDirectory would be removed at the end of the first fork
-    try:
-        rng = np.random.default_rng(0)
-        views = [encode(rng.integers(0, 256, (12, 16, 3), np.uint8)) for _ in range(24)]
-        write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32), views)
-        written("pannellum", folder / "tour")
-        (folder / "photos").mkdir()
-        rows = ["image,location,heading,x,z,ahead"]
-        for state in range(8):
-            Image.fromarray(rng.integers(0, 256, (24, 32, 3), np.uint8)).save(folder / "photos" / f"{state}.png")
-            ahead = "" if state else "1"
-            rows.append(f"{state}.png,{state // 4},{state % 4 * 90},{state // 4},0,{ahead}")
-        (folder / "photos" / "states.csv").write_text("\n".join([*rows, ""]))
-        (folder / "walk").mkdir()
-        wall = Image.fromarray(rng.integers(0, 256, (12, 40), np.uint8)).resize((640, 192), Image.Resampling.BICUBIC)
-        for frame in range(8):  # which passes by, a bit each time
-            wall.crop((32 * frame, 0, 32 * frame + 256, 192)).save(folder / "walk" / f"{frame}.png")
-        options = {
-            "train": [f"scene={folder / 'room.h5'}", *SHORT, "hydra.run.dir=runs/fast/0"],
-            "map": ["video=walk", "out=walk.pt"],
-        }
-        for recipe, given in options.items():
-            ended = run(folder, recipe, *given)
-            assert ended.status == 0, ended.errors
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

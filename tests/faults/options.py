@@ -12,14 +12,24 @@ import os
 import random
 import resource
 import shutil
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
 
 os.environ |= {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1", "WANDB_MODE": "offline"}
 os.environ |= {"http_proxy": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"}  # nothing is looked up outside
 
-from campaign import conclude, start, work
+import numpy as np
+from campaign import conclude, start
 from commands import SHORT
 from forks import no_pictures, run, warm_up
 from options import SCHEMAS, command_line, draw_arguments, is_no_number, program
+from PIL import Image
+from rooms import grid_scene
+from tours import written
+
+from dirl.scenes import write_dump
+from dirl.scenes.views import encode
 
 SECONDS, PATIENCE, MEMORY = 6.0, 100, 8 * 2**30
 
@@ -31,6 +41,38 @@ RECIPES = ("train",) * 9 + ("evaluate",) * 3 + tuple(name for name in SCHEMAS if
 LINE, ACCEPTED, STOPPED = "one line", "accepted, done", "accepted, stopped"
 NO_NUMBER, TRACEBACK, LINES, CRASH, HANG = "ACCEPTED NO NUMBER", "TRACEBACK", "NOT ONE LINE", "CRASH", "HANG"
 FAILURES = (NO_NUMBER, TRACEBACK, LINES, CRASH, HANG)
+
+
+@contextmanager
+def work():
+    """A folder with ``room.h5``, photographs, a tour, a map of a walk, and a finished run; it is removed at the end."""
+    folder = Path(tempfile.mkdtemp())  # a TemporaryDirectory would be removed at the end of the first fork
+    try:
+        rng = np.random.default_rng(0)
+        views = [encode(rng.integers(0, 256, (12, 16, 3), np.uint8)) for _ in range(24)]
+        write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32), views)
+        written("pannellum", folder / "tour")
+        (folder / "photos").mkdir()
+        rows = ["image,location,heading,x,z,ahead"]
+        for state in range(8):
+            Image.fromarray(rng.integers(0, 256, (24, 32, 3), np.uint8)).save(folder / "photos" / f"{state}.png")
+            ahead = "" if state else "1"
+            rows.append(f"{state}.png,{state // 4},{state % 4 * 90},{state // 4},0,{ahead}")
+        (folder / "photos" / "states.csv").write_text("\n".join([*rows, ""]))
+        (folder / "walk").mkdir()
+        wall = Image.fromarray(rng.integers(0, 256, (12, 40), np.uint8)).resize((640, 192), Image.Resampling.BICUBIC)
+        for frame in range(8):  # which passes by, a bit each time
+            wall.crop((32 * frame, 0, 32 * frame + 256, 192)).save(folder / "walk" / f"{frame}.png")
+        options = {
+            "train": [f"scene={folder / 'room.h5'}", *SHORT, "hydra.run.dir=runs/fast/0"],
+            "map": ["video=walk", "out=walk.pt"],
+        }
+        for recipe, given in options.items():
+            ended = run(folder, recipe, *given)
+            assert ended.status == 0, ended.errors
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def prepare():
