@@ -62,42 +62,33 @@ def test_the_end_of_a_training_is_saved_before_it_is_evaluated(tmp_path):
     assert [int(file.stem) for file in training_checkpoints(run.folder)] == [told["frames"]] == [60]
 
 
-@pytest.fixture
-def imitated(tmp_path, monkeypatch):
-    """Imitate from a checkpoint, or from the beginning; gives the parts, and a checkpoint of each step."""
+def test_an_imitation_goes_on_from_its_state_to_the_same_end_and_from_no_other(tmp_path, monkeypatch):
+    """Pairs, noise and the falling learning rate included; nothing is done twice."""
     options = [f"scene={room_file(tmp_path)}", *SMALL, "system=any_goal", "encoder=siamese", "episodic_memory=none"]
     options += ["network.components=8", "imitation.max_steps=6", "imitation.batch_size=16", "evaluation.times=0"]
     saved = []
     monkeypatch.setattr(Run, "save", lambda _, state: saved.append(through_a_file(state)))
 
-    def imitate_from(checkpoint=None):
+    def imitated(checkpoint=None):
+        """The parts, and a checkpoint of each step."""
         parts = make_parts(*options, "checkpoint.every_seconds=0")
         saved.clear()
         run = Run(tmp_path, parts.config, checkpoint and {**checkpoint, "seconds": 0.0})
-        steps = imitate([run], parts.policy, [parts.demos])
-        return parts, steps, list(saved)
+        assert imitate([run], parts.policy, [parts.demos]) == 6
+        return parts, list(saved)
 
-    return imitate_from
-
-
-def test_an_imitation_goes_on_from_its_state_to_the_same_end(imitated):
-    """Pairs, noise and the falling learning rate included; nothing is done twice."""
-    whole, steps, saved = imitated()
-    assert (steps, [state["imitation"]["step"] for state in saved]) == (6, [1, 2, 3, 4, 5, 6])
-    for begins in (saved[1], saved[5]):
+    whole, states = imitated()
+    assert [state["imitation"]["step"] for state in states] == [1, 2, 3, 4, 5, 6]
+    for begins in (states[1], states[5]):
         torch.manual_seed(99)
-        resumed, steps, after = imitated(begins)
-        assert (steps, len(after)) == (6, 6 - begins["imitation"]["step"])
+        resumed, after = imitated(begins)
+        assert len(after) == 6 - begins["imitation"]["step"]
         torch.testing.assert_close(resumed.policy.state_dict(), whole.policy.state_dict(), atol=0, rtol=0)
-    weights = [state["learning"]["encoder.embedding.weight"] for state in saved]
+    weights = [state["learning"]["encoder.embedding.weight"] for state in states]
     assert not torch.equal(weights[1], weights[5])
-
-
-def test_a_checkpoint_that_is_not_of_this_imitation_is_refused(imitated):
-    _, _, (saved, *_) = imitated()
-    other = {**saved["optimiser"], "param_groups": []}
+    other = {**states[0]["optimiser"], "param_groups": []}
     for change in ({"learning": {}}, {"optimiser": other}, {"random": {}}, {"random": {"cpu": torch.zeros(3)}}):
-        refused("its checkpoint does not fit this run", imitated, saved | change)
+        refused("its checkpoint does not fit this run", imitated, states[0] | change)
 
 
 def begun(folder, *options):
