@@ -16,13 +16,8 @@ from dirl.scenes import load_scenes, make_world
 from dirl.training.build import load_trained
 
 
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch):
+def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.mark.usefixtures("elsewhere")
-def test_it_is_found_by_name_and_has_heads_for_any_room(tmp_path):
     saved = load_checkpoint("general")
     assert all(torch.isfinite(value).all() for value in saved["network"].values())
     assert not any(".scenes." in key and ".shared" not in key for key in saved["network"])
@@ -38,7 +33,6 @@ def test_turns_that_its_training_did_not_have_are_told(capsys):
         assert capsys.readouterr().err.startswith(told)
 
 
-@pytest.mark.usefixtures("elsewhere")
 def test_its_evaluation_needs_a_room():
     with pytest.raises(ConfigError, match=r"general: its training rooms, .* are not here; .*: scene=\.\.\."):
         load_trained(load_checkpoint("general"), "general")
@@ -71,7 +65,6 @@ def test_it_finds_photos_in_a_room_it_was_not_trained_in_and_needs_no_option(nav
         assert (walked[-1], stopped) == (goal, True)
 
 
-@pytest.mark.usefixtures("elsewhere")
 def test_an_encoder_without_fine_patches_gives_photos_another_score_but_the_policy_sees_the_same():
     views = np.stack(list(load_scenes("bathroom_02")[0].views)[:8])
     seen = []

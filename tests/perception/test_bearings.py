@@ -71,19 +71,13 @@ def test_where_nothing_is_shared_nothing_is_told(table):
     assert not table[:, [0, 1], :, [0, 1]].any(), "an arrow does not lead to where it begins"
 
 
-def moved(points, ahead, right, turned):
-    """Points as they are seen from a camera that was taken so far, and turned to the left, in degrees."""
-    cos, sin = np.cos(np.radians(turned)), np.sin(np.radians(turned))
-    return (points - torch.tensor([ahead, right]) / UNIT) @ torch.tensor([[cos, sin], [-sin, cos]]).float()
-
-
 @pytest.mark.parametrize(
     ("ahead", "right", "turned"), [(0.0, 0.0, 0.0), (80.0, -30.0, 0.0), (20.0, 10.0, 25.0), (-60.0, 40.0, -40.0)]
 )
 def test_the_pose_of_points_that_match_is_exact_and_few_wrong_matches_change_little(ahead, right, turned):
-    generator = torch.Generator().manual_seed(0)
-    seen = wall_points(torch.rand(1, COLUMNS, generator=generator))
-    other = moved(seen[0], ahead, right, turned)[None]
+    seen = wall_points(torch.rand(1, COLUMNS, generator=torch.Generator().manual_seed(0)))
+    cos, sin = np.cos(np.radians(turned)), np.sin(np.radians(turned))  # to the left
+    other = (seen - torch.tensor([ahead, right]) / UNIT) @ torch.tensor([[cos, sin], [-sin, cos]]).float()
     matches = torch.eye(COLUMNS)[None]
     score, *pose = (float(value[0]) for value in relative_pose(matches, seen, other))
     assert score == pytest.approx(COLUMNS, abs=0.1)

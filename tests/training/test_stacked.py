@@ -30,17 +30,12 @@ OUTSIDE = (
 """Encoder, heads and a loss that are not the package's."""
 
 
-def make_states(room, options):
-    """The parts and the states of runs."""
+def make_runs(room, options=VARIED):
+    """The parts of runs, with their states."""
     every = [make_parts(f"scene={room}", *TINY, *own) for own in options]
-    return every, [train_state(parts) for parts in every]
-
-
-def make_stack(room, options=VARIED):
-    every, states = make_states(room, options)
-    for parts, state in zip(every, states, strict=True):
-        parts.state = state
-    return Stack(every)
+    for parts in every:
+        parts.state = train_state(parts)
+    return every
 
 
 class Updates:
@@ -72,16 +67,15 @@ def test_each_run_of_a_stack_learns_what_it_learns_alone(common, scenes, tmp_pat
         (tmp_path / "other").mkdir()
         room = f"[{room},{room_file(tmp_path / 'other', name='other', seed=1)}]"
     options = [(*common, *own) for own in VARIED]
-    stack = make_stack(room, options)
+    stack = Stack(make_runs(room, options))
     reports = learned(stack, 3)
-    every, states = make_states(room, options)
-    for number, (parts, state) in enumerate(zip(every, states, strict=True)):
+    for number, parts in enumerate(make_runs(room, options)):
         torch.manual_seed(parts.config.seed)
-        for (alone,), together in zip(learned(state, 3), reports, strict=True):
+        for (alone,), together in zip(learned(parts.state, 3), reports, strict=True):
             own = together[number]
             assert (alone.goal_index, alone.steps, alone.frames) == (own.goal_index, own.steps, own.frames)
             assert own.values == pytest.approx(alone.values, abs=1e-4)
-        weights = (dict(policy.named_parameters()) for policy in (stack.members[number].policy, state.policy))
+        weights = (dict(policy.named_parameters()) for policy in (stack.members[number].policy, parts.policy))
         torch.testing.assert_close(*weights, atol=1e-5, rtol=0)
 
 
@@ -92,7 +86,7 @@ def test_each_run_of_a_stack_imitates_as_it_does_alone(tmp_path):
     options = [
         ("imitation.max_steps=20", "imitation.lr=0.01", *own, end) for own, end in zip(VARIED, ends, strict=True)
     ]
-    stack, (every, _) = make_stack(room, options), make_states(room, options)
+    stack, every = Stack(make_runs(room, options)), make_runs(room, options)
     runs = [Run(tmp_path / f"stack{number}", parts.config) for number, parts in enumerate(every)]
     for run, parts in zip(runs, every, strict=True):
         run.begin(parts.world, parts.observation.order)
@@ -110,10 +104,10 @@ def test_each_run_of_a_stack_imitates_as_it_does_alone(tmp_path):
 
 def test_a_captured_update_computes_what_it_does_without_a_graph(tmp_path, monkeypatch, capsys):
     room = room_file(tmp_path)
-    eager = make_stack(room)
+    eager = Stack(make_runs(room))
     reports = learned(eager, 8)
     graphs = pretend(monkeypatch)
-    captured = make_stack(room)
+    captured = Stack(make_runs(room))
     assert learned(captured, 8) == reports
     assert [len(graph.calls) > 100 for graph in graphs] == [True]
     assert capsys.readouterr().err == ""

