@@ -118,7 +118,7 @@ def test_scores_are_the_coefficients_of_every_goal_with_every_state_and_above_a_
     for index, goal in enumerate(world.goals):
         expected = [np.corrcoef(views[goal], views[state])[0, 1] for state in range(8 * index, 8 * index + 8)]
         assert world.block(scores, index).tolist() == pytest.approx(expected, abs=1e-5)
-    threshold = scores.sort().values[-3].item()
+    threshold = scores.sort().values[-5].item()  # above it are two states besides the goals
     assert torch.equal(TemplateStop(threshold, match)(world), scores > threshold)
 
 
