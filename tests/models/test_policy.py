@@ -117,20 +117,15 @@ def test_a_view_that_is_not_known_is_zeros_whatever_the_noise(monkeypatch):
     assert torch.equal(table(torch.tensor([0])), table.known[:1])
 
 
-def test_pooled_features_become_principal_components_and_patches_stay():
-    torch.manual_seed(0)
-    pooled, patches = torch.randn(50, 3) @ torch.randn(3, 6) + 2, torch.randn(50, 4)
-    table = FeatureTable(pooled, *whitening(pooled, 5), patches=patches.view(50, 2, 2))
-    assert (table.inputs, table.width) == (6 + 4, 3 + 4)  # the features span three dimensions
-    torch.testing.assert_close(table.known[:, :3].T.cov(), torch.eye(3), atol=1e-4, rtol=0)
-    assert torch.equal(table.known[:, 3:], patches)
-    assert sorted(table.state_dict()) == ["axes", "mean", "std"]
-
-
-def test_many_states_are_standardised_in_blocks_and_sampled_for_their_components(monkeypatch):
-    """The components of a sample are those of its states alone; every state has a row."""
+def test_pooled_features_become_principal_components_and_patches_stay(monkeypatch):
+    """Of many states in blocks, with the components of a sample of them; every state has a row."""
     torch.manual_seed(0)
     pooled, patches = torch.randn(50, 3) @ torch.randn(3, 6) + 2, torch.randn(50, 2, 2)
+    table = FeatureTable(pooled, *whitening(pooled, 5), patches=patches)
+    assert (table.inputs, table.width) == (6 + 4, 3 + 4)  # the features span three dimensions
+    torch.testing.assert_close(table.known[:, :3].T.cov(), torch.eye(3), atol=1e-4, rtol=0)
+    assert torch.equal(table.known[:, 3:], patches.flatten(1))
+    assert sorted(table.state_dict()) == ["axes", "mean", "std"]
     whole = FeatureTable(pooled, *whitening(pooled[::3], 2), patches=patches).table
     monkeypatch.setattr("dirl.models.features.SAMPLED", 17)
     monkeypatch.setattr("dirl.models.features.ROWS_AT_ONCE", 7)

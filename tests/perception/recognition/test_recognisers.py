@@ -91,12 +91,6 @@ NUMBER = st.floats(-5, 5, allow_nan=False, width=32)
 VECTOR = st.lists(NUMBER, min_size=6, max_size=6).filter(lambda values: np.std(values) > 0.01)
 
 
-@pytest.fixture
-def world():
-    """Two rooms of 8 states each, goals 1 and 8 + 6."""
-    return make_world([grid_scene(2, 1, name=name, goals=(goal,), seed=goal) for name, goal in (("a", 1), ("b", 6))])
-
-
 @given(VECTOR, VECTOR)
 def test_ncc_is_pearsons_coefficient(a, b):
     found = ncc(torch.tensor(a, dtype=torch.float64), torch.tensor(b, dtype=torch.float64))
@@ -111,7 +105,8 @@ def test_ncc_with_a_constant_vector_is_zero():
 
 
 @pytest.mark.parametrize("match", ["views", "front"])
-def test_scores_are_the_coefficients_of_every_goal_with_every_state_and_above_a_threshold_it_stops(match, world):
+def test_scores_are_the_coefficients_of_every_goal_with_every_state_and_above_a_threshold_it_stops(match):
+    world = make_world([grid_scene(2, 1, name=name, goals=(goal,), seed=goal) for name, goal in (("a", 1), ("b", 6))])
     scores = TemplateStop(match=match).scores(world)
     assert scores.shape == (2 * 8,)
     views = world.features[world.surrounding[:, : 4 if match == "views" else 1]].flatten(1)
