@@ -73,7 +73,7 @@ def changed(line, old, new):
         (corridor()[:7], "line 6: location 'door' has 3 headings; expected the same mult"),
         (corridor()[:4] + corridor(offset=30)[4:], "line 3: ahead: 'door' has no image with heading 90; a move keeps"),
         (
-            [*corridor(), *(line.replace("hall", "yard") for line in corridor()[:4])],
+            corridor() + [line.replace("hall", "yard") for line in corridor()[:4]],
             "ahead: 'door' is also ahead of 'hall', .*; add a column back",
         ),
     ],
@@ -115,9 +115,7 @@ def test_further_shots_are_looks_if_each_is_a_visit_to_every_place(tmp_path):
     scene, images = read_photos(folder_of(tmp_path, shots(corridor(), 2), f"{HEADER},shot"))
     once, first = read_photos(folder_of(tmp_path, corridor()))
     assert (scene.graph == once.graph).all()
-    assert [image.name for image in images] == [
-        f"{prefix}{image.name}" for prefix in ("", "1_", "2_") for image in first
-    ]
+    assert [one.name for one in images] == [f"{shot}{one.name}" for shot in ("", "1_", "2_") for one in first]
     turned = [line.replace(",hall,0,", ",hall,359.5,") if line[:2] == "1_" else line for line in shots(corridor(), 1)]
     assert len(read_photos(folder_of(tmp_path, turned, f"{HEADER},shot"))[1]) == 16  # nearly the same heading
     lacking = folder_of(tmp_path, shots(corridor(), 1)[:-1], f"{HEADER},shot")

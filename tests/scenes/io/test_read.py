@@ -5,6 +5,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from malformed import VIEW, views
 from refusals import refused
 from rooms import grid_scene, read_here
 
@@ -21,10 +22,6 @@ def put(path, **datasets):
             file.pop(name, None)
             if value is not None:
                 file[name] = value
-
-
-def picture(state, height=6, width=8):
-    return np.full((height, width, 3), 10 * state, np.uint8)
 
 
 @pytest.mark.parametrize(("dtype", "crops"), [("f2", None), ("f4", 10), ("f8", 1)])
@@ -60,14 +57,13 @@ def test_numbers_may_be_of_any_type_and_in_compressed_chunks(scene, dump):
 
 
 def test_encoded_images_are_seen_and_go_before_raw_ones(dump):
+    other = encode(np.full((6, 8, 3), 50, np.uint8))
     with h5py.File(dump, "a") as file:
-        stored = file.create_dataset("observation_webp", (24,), h5py.vlen_dtype(np.uint8))
-        for state in range(24):
-            stored[state] = np.frombuffer(encode(picture(state)), np.uint8)
-    views = read_here(dump).views
-    assert views[5].shape == (6, 8, 3)
-    assert np.abs(views[5].astype(int) - picture(5)).max() <= 3
-    assert views.encoded(5) == encode(picture(5))
+        views(other)(file)
+    seen = read_here(dump).views
+    assert seen[23].shape == (6, 8, 3)
+    assert np.abs(seen[23].astype(int) - 50).max() <= 3
+    assert (seen.encoded(5), seen.encoded(23)) == (VIEW, other)
 
 
 def test_columns_may_be_in_any_declared_order_and_a_file_may_have_any_name(scene, dump):
