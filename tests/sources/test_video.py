@@ -3,7 +3,9 @@
 import io
 import os
 import tempfile
+from contextlib import contextmanager
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,34 +16,25 @@ from dirl.sources import video
 from dirl.sources.video import Recording, photo_field_of_view, read_photo
 
 
-class Here:
+@contextmanager
+def run_here(command, **_):
     """In place of `subprocess.Popen`: the program runs in this process, which has imported what it needs."""
-
-    def __init__(self, command, **_):
-        self.stdout = tempfile.TemporaryFile()  # noqa: SIM115
-        console = os.dup(1)
-        os.dup2(self.stdout.fileno(), 1)
+    console = os.dup(1)
+    with tempfile.TemporaryFile() as answers:
+        os.dup2(answers.fileno(), 1)
         try:
             exec(command[-1], {})
         finally:
             os.dup2(console, 1)
             os.close(console)
-        self.stdout.seek(0)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.stdout.close()
-
-    def wait(self):
-        return 0
+        answers.seek(0)
+        yield SimpleNamespace(stdout=answers, wait=lambda: 0)
 
 
 @pytest.fixture
 def here(monkeypatch):
     """Read recordings in the process of the test, where what reads them has no limits."""
-    monkeypatch.setattr(video.subprocess, "Popen", Here)
+    monkeypatch.setattr(video.subprocess, "Popen", run_here)
     monkeypatch.setattr(video, "limit", lambda *_: None)
 
 
