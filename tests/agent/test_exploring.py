@@ -27,7 +27,7 @@ def navigator(world, tmp_path_factory):
     return Navigator.load(folder, look_up(world), extractor="random")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def explorer(navigator, world):
     """After a walk in which the navigator chose where to go."""
     walk = navigator.explore(turns=4)
