@@ -49,13 +49,13 @@ def protocol_of(world, scores, recogniser=None, *, goal_view="surrounding", **co
     return EvaluationProtocol(world, SurroundingViews(world, goal_view), every_start(world), stop, 60, **conditions)
 
 
-@pytest.mark.parametrize(("headings", "panorama"), [(8, False), (8, True)])
-def test_turns_may_be_small_and_panoramas_seen_at_once(headings, panorama):
-    world = make_world([grid_scene(3, 2, headings=headings, goals=(5, 3 * headings), noise=0.1, **SIZE)])
+@pytest.mark.parametrize("panorama", [False, True])
+def test_turns_may_be_small_and_panoramas_seen_at_once(panorama):
+    world = make_world([grid_scene(3, 2, headings=8, goals=(5, 24), noise=0.1, **SIZE)])
     memory, scores = LocalisingMemory(), VisitScores(Odds(), world)
     known, passed = map_scene(world, 0, memory, scores, 4, panorama=panorama)
     assert map_quality(known, passed, world, 0) == (1, 1, 0)
-    assert known.places.goal.shape[2] == (headings if panorama else 4)
+    assert known.places.goal.shape[2] == (8 if panorama else 4)
     protocol = protocol_of(world, scores, goal_view="surrounding" if panorama else "front", panorama=panorama)
     alone = metrics(protocol.run(indifferent()))
     found = metrics(replace(protocol, maps=[known]).run(indifferent()))
@@ -157,6 +157,7 @@ def test_who_is_carried_elsewhere_finds_the_place_on_the_map_again(world, walks)
     for visit in (10, 3):
         assert mapper.see(world.surrounding[passed[visit]] + len(world)) == int(known.places.node[0, visit])
     assert mapper.frontier_action() is None  # nothing is left to be learnt
+    assert known.begin(known.places.goal).mapped.all()
     assert len(mapper.map()) == len(known)
 
 
