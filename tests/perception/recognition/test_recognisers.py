@@ -29,22 +29,15 @@ def test_the_table_of_a_world_holds_what_the_recogniser_computes(kind, match):
 
 @pytest.mark.parametrize("views", [8, 4])
 def test_a_panorama_is_found_again_with_its_heading_by_what_differs_within_the_place(views):
-    common = 5 * torch.randn(32, generator=torch.Generator().manual_seed(0))
-    places = common + torch.randn((1, 5, 8, 32), generator=torch.Generator().manual_seed(1))
-    wanted = places[:, 2].roll(-3, 1)[:, :: 8 // views]
-    odds = panorama_odds(places, wanted + 0.5 * torch.randn(wanted.shape, generator=torch.Generator().manual_seed(2)))
+    """Light differs from place to place and from day to day, more than what is seen."""
+    generator = torch.Generator().manual_seed(1)
+    places = 5 * torch.randn(32, generator=generator) + torch.randn((1, 5, 8, 32), generator=generator)
+    wanted = places[:, 2].roll(-3, 1)[:, :: 8 // views] + 0.5 * torch.randn((1, views, 32), generator=generator)
+    places[..., :2] += 3 * torch.randn((1, 5, 1, 2), generator=generator)
+    wanted[..., :2] += 3 * torch.randn((1, 1, 2), generator=generator)
+    odds = panorama_odds(places, wanted)
     assert odds.flatten().argmax() == 2 * 8 + 3
     assert ((odds > 3).sum(), odds.shape) == (1, (1, 5, 8))
-
-
-def test_what_many_views_of_a_place_share_says_little_of_a_panorama():
-    """Light differs from place to place and from day to day, more than anything else."""
-    generator = torch.Generator().manual_seed(1)
-    places = torch.randn((1, 5, 8, 32), generator=generator)
-    wanted = places[:, 2].roll(-3, 1).clone()
-    places[..., :2] += 8 * torch.randn((1, 5, 1, 2), generator=generator)
-    wanted[..., :2] += 8 * torch.randn((1, 1, 2), generator=generator)
-    assert panorama_odds(places, wanted).flatten().argmax() == 2 * 8 + 3
 
 
 def test_the_more_panoramas_are_known_the_more_alike_they_have_to_be_and_a_goal_counts_places_unseen():
