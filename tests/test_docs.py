@@ -146,14 +146,6 @@ def example_run(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def few_threads():
-    """Pages may choose how many threads torch uses."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.fixture(scope="module")
 def coarse(tmp_path_factory):
     """Networks read coarse views, and what they make of them is not kept where other tests would find it.
@@ -184,13 +176,14 @@ def test_the_notebook_runs(tmp_path, monkeypatch):
     assert shown.count("image/png") == 2
 
 
-@pytest.mark.usefixtures("few_threads", "coarse")
+@pytest.mark.usefixtures("coarse")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_the_code_of_a_page_runs(page, example_run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WANDB_MODE", "offline")
     monkeypatch.setenv(VARIABLE, "")  # what `python -m dirl` sets on a page ends with this test
     monkeypatch.delenv(VARIABLE)
+    monkeypatch.setattr(torch, "set_num_threads", lambda _: None)  # for all of this process
     dim_light(monkeypatch)
     shutil.copytree(example_run, EXAMPLE_RUN)
     if page.stem == "resume":  # as if it had been stopped before its first checkpoint

@@ -33,12 +33,6 @@ def trained(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def composed():
-    """The configuration of a command line."""
-    return train_config()
-
-
 @pytest.fixture
 def trap(tmp_path, monkeypatch):
     """A package on the path that would leave a file when it is imported."""
@@ -60,8 +54,8 @@ def poisoned(text, group, target):
 
 
 @pytest.mark.parametrize(("group", "target"), CASES)
-def test_a_configuration_from_a_file_builds_nothing_foreign(trained, composed, trap, tmp_path, group, target):
-    saved = load_checkpoint(trained / "run")
+def test_a_configuration_from_a_file_builds_nothing_foreign(trained, trap, tmp_path, group, target):
+    composed, saved = train_config(), load_checkpoint(trained / "run")
     text = poisoned(saved["config"], group, target)
     resumed = tmp_path / "resumed"
     resumed.mkdir()

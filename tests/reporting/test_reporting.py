@@ -335,18 +335,14 @@ def picture(tmp_path, drawn):
     return draw
 
 
-def of_kind(axes, kind):
-    return [artist for artist in axes.get_children() if isinstance(artist, kind)]
-
-
 def test_a_map_shows_paths_apart_headings_and_failed_ones_dashed(scene, picture):
     figure = picture(scene, 7, WAYS, [True, False])
     axes = figure.axes[0]
-    arrived, failed = of_kind(axes, LineCollection)
+    arrived, failed = axes.findobj(LineCollection)
     assert arrived.get_linestyle()[0][1] is None
     assert failed.get_linestyle()[0][1] is not None
     assert arrived.get_color().tolist() != failed.get_color().tolist()
-    for quiver, states in zip(of_kind(axes, Quiver), ([0, 1, 5, 9, 10, 11, 7], [16, 17, 18, 6], [7]), strict=True):
+    for quiver, states in zip(axes.findobj(Quiver), ([0, 1, 5, 9, 10, 11, 7], [16, 17, 18, 6], [7]), strict=True):
         arrows = np.stack([quiver.U, quiver.V], 1)
         lengths = np.linalg.norm(arrows, axis=1, keepdims=True)
         np.testing.assert_allclose(arrows / lengths, compass(scene)[states], atol=1e-6)
