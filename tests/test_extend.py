@@ -308,7 +308,6 @@ def test_an_environment_with_only_reset_and_step_is_walked_to_every_place(monkey
     scene, views = take_scene(simulator, source="simulator", step=1.0, turn=90)
     assert len(scene) == len(views) == 36
     assert (scene.graph[:, 0] >= 0).sum() == (scene.graph[:, 3] >= 0).sum() == 24
-    refused(r"no move of 0\.5 m leads anywhere", take_scene, simulator, source="simulator", step=0.5, turn=90)
     refused(r"TinyRoom: has only reset and step, so it cannot be put at 0.3, 0 m", simulator.place, Pose(0.3, 0.0, 0.0))
     fresh = GymSimulator("tiny_room.TinyRoom", left=0, right=1, ahead=2)
     fresh.place(Pose(2.0, 1.0, 180.0))  # where it has not been yet

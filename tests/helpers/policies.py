@@ -9,10 +9,9 @@ from dirl.evaluation.experts import ShortestPathExpert
 COUNTED = ("success", "steps", "false_stop", "missed_stop")
 
 
-def run_episodes(policy, world, starts, *, observation, greedy=True, passed=None, **conditions):
+def run_episodes(policy, world, starts, *, observation, greedy=True, **conditions):
     """Episodes under the conditions of an `EvaluationProtocol`."""
-    protocol = episodes.EvaluationProtocol(world, observation, starts, **conditions)
-    return protocol.run(policy, greedy=greedy, passed=passed)
+    return episodes.EvaluationProtocol(world, observation, starts, **conditions).run(policy, greedy=greedy)
 
 
 def expert(world, sureness=100.0):
