@@ -243,14 +243,15 @@ def loaded(saved: State, options: Options, changes: dict[str, Any]) -> tuple[Tra
     config = saved_config(saved, options.checkpoint, changes, options.trust or [])
     memory = make("episodic_memory", config.episodic_memory, config.trust)
     live = options.simulator is not None  # a navigator walks there, see `walk_live`
-    asked = options.episodic_memory, options.recogniser, options.map
-    if not live and asked == (None, None, None) and isinstance(memory, LocalisingMemory):
+    asked = [options.episodic_memory, options.recogniser, options.map]
+    scenes = None
+    if not live and asked == [None] * 3 and isinstance(memory, LocalisingMemory):
         source = make("source", config.source, config.trust)
         scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
         if all(scene.looks == 1 for scene in scenes):  # their views return bit for bit
             changes = {**changes, **{name: group_options(name, option) for name, option in PLANS.items()}}
             changes["stop.threshold"] = options.threshold or RETURNED
-    return load_trained(saved, options.checkpoint, changes, options.trust or []), changes
+    return load_trained(saved, options.checkpoint, changes, options.trust or [], scenes), changes
 
 
 def leave_pictures(trained: Trained, facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:

@@ -40,6 +40,7 @@ from dirl.perception.matching import FrameMatcher
 from dirl.reporting.inspection import draw_sheet
 from dirl.reporting.map_page import write_mcap, write_page
 from dirl.scenes.io.files import write_json
+from dirl.scenes.views import SUFFIXES
 from dirl.sources.video import Recording, read_photo
 
 SHOWN = 16
@@ -99,7 +100,7 @@ def main(options: Options) -> None:
 def locate(graph: FrameMap, matcher: FrameMatcher, option: str, sources: Any) -> Found:
     """Where a photo, several or a short video were taken."""
     files = names(option, sources)
-    if len(files) == 1 and Path(files[0]).suffix.lower() not in (".jpg", ".jpeg", ".png", ".webp"):
+    if len(files) == 1 and Path(files[0]).suffix.lower() not in SUFFIXES:
         frames = [frame.image for frame in islice(Recording(Path(files[0]), graph.spacing), MOST + 1)]
         if len(frames) > MOST:
             raise ConfigError(f"{option}={files[0]}: is too long; {MOST * graph.spacing:.0f} s are enough")

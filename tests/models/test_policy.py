@@ -138,7 +138,7 @@ FEW = torch.tensor([[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]])
 
 def rotated(surrounding, states=3):
     features = torch.randn(states, FEATURES, generator=torch.Generator().manual_seed(2))
-    return ObservationTable(features, *feature_statistics(features), None, surrounding, 4)
+    return ObservationTable(FeatureTable(features, *feature_statistics(features)), surrounding, 4)
 
 
 @pytest.mark.parametrize("surrounding", [FEW, None], ids=["surrounding", "sequential"])

@@ -56,10 +56,11 @@ def test_where_views_return_an_agent_that_localises_plans_unless_something_is_as
     monkeypatch.setattr(evaluate, "load_scenes", lambda *_, **__: [grid_scene(3, 2, looks=looks)])
     monkeypatch.setattr(evaluate, "load_trained", lambda *given: given)
     options = parse(evaluate.Options, ["checkpoint=run", *given])
-    (*_, asked, _), changes = evaluate.loaded({"extractor": "random"}, options, {"seed": 1})
+    (*_, asked, _, scenes), changes = evaluate.loaded({"extractor": "random"}, options, {"seed": 1})
     planning = {"episodic_memory": "planning", "recogniser": "ncc"}
     planning = {name: group_options(name, option) for name, option in planning.items()} | {"stop.threshold": 0.98}
     assert changes == asked == {"seed": 1, **(planning if plans else {})}
+    assert (scenes is None) == (memory != "localising" or given != [])  # read once
 
 
 @pytest.mark.parametrize(

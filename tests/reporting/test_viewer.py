@@ -91,7 +91,7 @@ def test_a_page_holds_the_networks_exact_answers_the_views_and_the_room(tmp_path
         torch.testing.assert_close(floats(goal["values"]), answered["state_value"].squeeze(-1), atol=1e-5, rtol=0)
         assert torch.equal(floats(goal["scores"]), room.world.block(scores, index))
         assert goal["distances"] == room.world.block(room.world.distances, index).tolist()
-    assert base64.b64decode(data["views"][7]) == scene.views.encoded(7)
+    assert base64.b64decode(data["views"][7]) == scene.views.stored(7)
     assert data["graph"] == scene.graph.tolist()
     assert data["surrounding"] == scene.surrounding.tolist()
     assert data["directions"][:4] == [[0, 1], [1, 0], [0, -1], [-1, 0]]

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from refusals import refused
 from rooms import grid_scene, renumbered
 
-from dirl.scenes.graph import check_graph, places, shortest_distances, surrounding_states, turns_per_circle
+from dirl.scenes import Scene
+from dirl.scenes.graph import check_graph, places, shortest_distances, turns_per_circle
 
 AHEAD, RIGHT, LEFT, BACK = range(4)
 
@@ -56,7 +57,7 @@ def test_distances_equal_a_plain_search(room, data):
 @given(room=rooms())
 def test_surrounding_states_are_ahead_right_back_and_left_at_the_same_place(room):
     check_graph(room.graph)
-    surrounding = surrounding_states(room.graph)
+    surrounding = room.surrounding
     assert (surrounding[:, 0] == np.arange(len(room))).all()
     turned = (room.headings[surrounding] - room.headings[:, None]) % 360
     assert turned.tolist() == [[0, 90, 180, 270]] * len(room)
@@ -67,8 +68,9 @@ def test_dead_states_see_themselves_and_can_neither_be_left_nor_reached():
     room = grid_scene()
     graph = with_dead_states(room.graph)
     check_graph(graph)
-    assert surrounding_states(graph)[:4].tolist() == [[state] * 4 for state in range(4)]
-    assert (surrounding_states(graph)[4:] == room.surrounding + 4).all()
+    surrounding = Scene("dead", graph, np.zeros((28, 2)), np.zeros(28)).surrounding
+    assert surrounding[:4].tolist() == [[state] * 4 for state in range(4)]
+    assert (surrounding[4:] == room.surrounding + 4).all()
     distances = shortest_distances(graph)
     assert (distances[:4] == np.where(np.eye(4, 28), 0, -1)).all()
     assert (distances[4:, :4] == -1).all()

@@ -70,7 +70,6 @@ def test_raw_views_come_as_they_are_stored_and_only_those_there_are(dump):
     assert len(views) == 24
     assert views[23].dtype == np.uint8
     assert views[23].tolist() == np.full((3, 4, 3), 23).tolist()
-    assert views.encoded(23) is None
     for state in (-1, 24):
         with pytest.raises(IndexError, match=rf"room\.h5: state {state} has no view; states are 0\.\.23"):
             views[state]
@@ -121,4 +120,4 @@ def test_a_file_that_went_away_or_became_shorter_is_one_line(tmp_path):
         views[5]
     path.unlink()
     with pytest.raises(ValueError, match=r"room\.h5: observation_webp: cannot be read any more \(No such file"):
-        views.encoded(5)
+        views.stored(5)

@@ -8,7 +8,7 @@ from parts import make_parts, train_in
 
 from dirl.agent.decisions import answers
 from dirl.config.schemas import Device
-from dirl.models import ObservationTable
+from dirl.models import FeatureTable, ObservationTable
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import World
 from dirl.training.build import load_trained
@@ -47,7 +47,7 @@ def test_the_axes_of_observations_are_found_by_the_cpu(monkeypatch, elsewhere):
     features = torch.rand(6, 5).to(DEVICE)
     surrounding = torch.stack([torch.arange(6)] * 4, 1).to(DEVICE)
     for seen in (surrounding, None):
-        assert isinstance(ObservationTable(features, None, None, None, seen, 4).coordinates, Elsewhere)
+        assert isinstance(ObservationTable(FeatureTable(features), seen, 4).coordinates, Elsewhere)
     assert not any(isinstance(matrix, Elsewhere) for matrix in given)
 
 

@@ -212,6 +212,9 @@ class Views:
         possible: which moves are possible facing each view, bool ``[B, K, 4]``; all if left out.
     """
 
+    along = toward = None
+    """What lies between its headings no camera sees, and by points nothing tells where arrows lead."""
+
     def __init__(
         self,
         goal: Goal,
@@ -234,14 +237,6 @@ class Views:
     def pooled(self) -> Tensor:
         """Pooled features of the views, float32 ``[B, K, D]``."""
         return self.features[..., : len(self.goal.policy.table.mean)]
-
-    @property
-    def along(self) -> None:
-        """None: a camera sees nothing between its headings."""
-
-    @property
-    def toward(self) -> None:
-        """None: no points are matched."""
 
     @property
     def goal_pooled(self) -> Tensor:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDict
@@ -202,6 +202,9 @@ class AgentBatch:
     view_ids: Tensor
     """What the policy observes, ``[W, 4]``."""
 
+    points: ClassVar[None] = None
+    """A world holds no points of its views."""
+
     def select(self, chosen: Tensor) -> "AgentBatch":
         """Return some of the agents, by index."""
         rows = (self.episode, self.wanted, self.shown, self.state, self.ahead, self.view_ids)
@@ -313,10 +316,6 @@ class AgentBatch:
     def photo(self) -> bool:
         """Whether the goals are photos."""
         return self.known.observation.goal_view == "front"
-
-    @property
-    def points(self) -> None:
-        """None: a world holds no points of its views."""
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits see the goal facing each view."""

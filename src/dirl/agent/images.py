@@ -11,6 +11,7 @@ from torch import Tensor
 
 from dirl.envs.transforms import VIEWS
 from dirl.scenes import ACTIONS
+from dirl.scenes.graph import MAX_TURNS
 from dirl.scenes.views import ANGLES, ImageError, read_photo
 
 Images = Tensor | NDArray[np.uint8] | str | Path | Sequence[str | Path]
@@ -71,13 +72,9 @@ def check_agents(views: Tensor, goals: int, before: Tensor | None) -> None:
         raise NavigatorError(f"images: {views.shape[1]} views after {before.shape[1]}; call reset first")
 
 
-MOST_TURNS = 360
-"""In a full circle."""
-
-
 def check_turns(turns: Any) -> None:
     """Raise `NavigatorError` unless so many turns make a full circle and pass the four views."""
-    if isinstance(turns, bool) or not isinstance(turns, int) or turns % VIEWS or not 0 < turns <= MOST_TURNS:
+    if isinstance(turns, bool) or not isinstance(turns, int) or turns % VIEWS or not 0 < turns <= MAX_TURNS:
         raise NavigatorError(f"turns={turns!r}: expected an integer, as 4, 8 or 12")
 
 

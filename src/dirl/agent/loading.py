@@ -18,7 +18,7 @@ from dirl.envs.transforms import VIEWS
 from dirl.models import FeatureTable
 from dirl.models.build import build_policy, check_extractor, load_weights, pixels_read, reads_patches, saved_statistics
 from dirl.perception.backbones import ViewEncoder, load_encoder
-from dirl.perception.backbones.patches import FINE, PATCH_SHAPE, coarse
+from dirl.perception.backbones.patches import PATCH_SHAPE, coarse
 from dirl.perception.backbones.registry import BATCH, LITE, packaged_encoder
 from dirl.perception.recognition.learned import Learned
 from dirl.perception.recognition.recogniser import build_recogniser, set_memory_threshold
@@ -52,8 +52,8 @@ def load_parts(
             "give a function of images: encoder=..."
         )
     patches, recognises = reads_patches(config), build_recogniser(config.recogniser, device, config.trust)
-    gives = f"{FINE[0]}x{FINE[1]}" in getattr(encoder, "patch_attributes", {}).get("extractor", "")
-    fine = patches and isinstance(recognises, Learned) and (gives or encoder == LITE)  # photos are recognised by them
+    gives_fine = encoder == LITE or (isinstance(encoder, ViewEncoder) and encoder.fine)
+    fine = patches and isinstance(recognises, Learned) and gives_fine  # photos are recognised by them
     encodes = image_encoder(encoder, extractor, saved, origin, device, patches=patches, fine=fine)
     own: list[str] = list(find_class("observation", config.observation[TARGET], trust).order)  # type: ignore[attr-defined]
     order = saved["views"]

@@ -7,6 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from dirl.agent.decisions import observe
 from dirl.envs import SurroundingViews
 from dirl.scenes import ACTIONS
 from dirl.scenes.graph import places
@@ -103,19 +104,8 @@ def demonstrations(
     """
     goal_index, state = world.pairs()
     chosen = shown_states(world, fraction, rule, seed)[state]
-    goal, state = world.goals[goal_index[chosen]], state[chosen]
-    rows = TensorDict(
-        {
-            "state": state,
-            "goal": goal,
-            "scene": world.scene_of[state],
-            "view_ids": observation.reset_view_ids(state),
-            "goal_view_ids": observation.goal_view_ids(goal),
-        },
-        batch_size=[len(state)],
-        device=world.device,
-    )
-    return label(expert, rows)
+    goal_index, state = goal_index[chosen], state[chosen]
+    return label(expert, observe(world, observation, state, observation.reset_view_ids(state), goal_index))
 
 
 def label(expert: TensorDictModuleBase, visited: TensorDictBase) -> TensorDictBase:

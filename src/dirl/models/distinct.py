@@ -8,7 +8,6 @@ embedded is not computed again for the loss: it is computed with its graph, whic
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -152,14 +151,15 @@ class CachedEncoder(nn.Module):
         embed_goal = getattr(encoder, "embed_goal", None)
         if self._kept is None or not self._keeps or learns > self._kept[0].learns:
             # To find what is distinct, the CPU would wait for a GPU: there all observations are embedded at once.
-            known = self.surrounding if reading_waits(table.table) else None
-            every = None if known is None else len(known)
+            known = self.surrounding
+            every = None if known is None or not reading_waits(table.table) else len(known)
+            views = self.keys.unpack if known is None else known.__getitem__
             self._kept = (
-                EmbeddingCache(partial(self._embed, encoder.embed), every, learns=learns),
-                EmbeddingCache(partial(self._embed, embed_goal or encoder.embed), every, learns=learns),
+                EmbeddingCache(lambda keys: encoder.embed(table(views(keys))), every, learns=learns),
+                EmbeddingCache(lambda keys: (embed_goal or encoder.embed)(table(views(keys))), every, learns=learns),
             )
         seen, shown = self._kept
-        if torch.is_grad_enabled():
+        if torch.is_grad_enabled() or not self._keeps:
             self._kept = None  # a graph is gone back through once
         keys, goal_keys = self._pack(view_ids), self._pack(goal_view_ids)
         if embed_goal is None:  # observations and goals are embedded alike
@@ -167,10 +167,6 @@ class CachedEncoder(nn.Module):
             return encoder.fuse(*seen.rows.index_select(0, place).split(len(keys)))
         place, goal_place = seen.places(keys), shown.places(goal_keys)
         return encoder.fuse(seen.rows.index_select(0, place), shown.rows.index_select(0, goal_place))
-
-    def _embed(self, embed: Callable[[Tensor], Tensor], keys: Tensor) -> Tensor:
-        """Return the embedding of each key, int64 ``[K]`` to ``[K, E]``."""
-        return embed(self._wrapped[1](self.keys.unpack(keys) if self.surrounding is None else self.surrounding[keys]))
 
     def _pack(self, view_ids: Tensor) -> Tensor:
         """Return a key for each observation, int64 ``[B, 4]`` to ``[B]``: its state, where that says all."""

@@ -142,22 +142,14 @@ class ObservationTable(FeatureTable):
     serve in other worlds as well.
 
     Args:
-        features, mean, std, axes: see `FeatureTable`.
+        table: the features of its states.
         surrounding: the four states seen from each state, int64 ``[N, 4]``, if they are all that is ever seen there;
             None if any four states can be seen. View id N is a view that is not shown.
         views: how many an observation has.
     """
 
-    def __init__(
-        self,
-        features: Tensor,
-        mean: Tensor | None,
-        std: Tensor | None,
-        axes: Tensor | None,
-        surrounding: Tensor | None,
-        views: int,
-    ) -> None:
-        super().__init__(features, mean, std, axes)
+    def __init__(self, table: FeatureTable, surrounding: Tensor | None, views: int) -> None:
+        super().__init__(table.features, table.mean, table.std, table.axes)
         self.register_buffer("surrounding", surrounding, persistent=False)
         self.slots = views if surrounding is None else 1
         # The singular value decomposition of the observations X = U L V', by way of X X' = U L^2 U'. Always by the CPU:
@@ -171,7 +163,7 @@ class ObservationTable(FeatureTable):
         variance, left = torch.linalg.eigh(products)
         kept = variance > DEPENDENT * variance[-1]
         # In the state_dict, because another machine finds other axes where two are equally long.
-        self.register_buffer("coordinates", (left[:, kept] * variance[kept].sqrt()).to(features))
+        self.register_buffer("coordinates", (left[:, kept] * variance[kept].sqrt()).to(self.features))
         self.width = self.coordinates.shape[1]
         """The number of coordinates in a slot."""
 

@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from dirl.scenes.graph import IntArray, places
 from dirl.scenes.scene import Scene, SceneError
@@ -72,6 +70,9 @@ def well_reached(scene: Scene) -> np.ndarray:
 
     All states of a part can be reached from each other. A dead end that has no way out takes no goals from others.
     """
+    from scipy.sparse import csr_array  # here, see `dirl.scenes.graph.shortest_distances`
+    from scipy.sparse.csgraph import connected_components
+
     start, action = np.nonzero(scene.graph >= 0)
     moves = csr_array((np.ones(len(start)), (start, scene.graph[start, action])), shape=(len(scene), len(scene)))
     part = connected_components(moves, directed=True, connection="strong")[1]

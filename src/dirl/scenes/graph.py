@@ -1,4 +1,4 @@
-"""Properties of a scene's graph: distances, headings, the four views around a state.
+"""Properties of a scene's graph: distances, turns, places.
 
 A graph is an integer array ``[N, 4]``: ``graph[state, action]`` is the next state, -1 where the move is blocked.
 """
@@ -7,8 +7,6 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 
 class Action(IntEnum):
@@ -104,23 +102,6 @@ def turns_only(places: int, headings: int) -> IntArray:
     return graph
 
 
-def surrounding_states(graph: IntArray) -> IntArray:
-    """Return the states seen ahead, to the right, behind and to the left, relative to the heading.
-
-    They are found by repeated turns along the graph's own links, never from the numbering of the states
-    (paper section 3.5). Of a checked graph, int64 ``[N, 4]``, they are int64 ``[N, 4]``; column 0 is the state itself,
-    and a state without moves sees itself four times.
-    """
-    right = np.where(graph[:, RIGHT] >= 0, graph[:, RIGHT], np.arange(len(graph)))
-    quarter = np.arange(len(graph))
-    for _ in range(turns_per_circle(graph) // 4):
-        quarter = right[quarter]
-    views = [np.arange(len(graph))]
-    for _ in range(3):
-        views.append(quarter[views[-1]])
-    return np.stack(views, 1)
-
-
 def places(graph: IntArray) -> IntArray:
     """Return the place of each state, int64 ``[N]``: states that are connected by turns share one.
 
@@ -143,6 +124,9 @@ def shortest_distances(graph: IntArray, goals: IntArray | None = None) -> NDArra
     Returns:
         int32 ``[N, G]``, -1 where the goal cannot be reached.
     """
+    from scipy.sparse import csr_array  # here: the process that reads dumps does without, and this takes half a second
+    from scipy.sparse.csgraph import dijkstra
+
     state, action = np.nonzero(graph >= 0)
     backwards = csr_array((np.ones(len(state)), (graph[state, action], state)), (len(graph), len(graph)))
     distances = dijkstra(backwards, unweighted=True, indices=goals)

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, surrounding_states, turns_per_circle
+from dirl.scenes.graph import AHEAD, BACK, LEFT, RIGHT, turns_per_circle
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import check_image
 
@@ -148,7 +148,6 @@ class Dumped:
         if scene.views is None:
             raise SceneError(f"{scene.origin}: holds no views to walk among")
         self.scene, self._views = scene, scene.views
-        self._around = surrounding_states(scene.graph)
         self._half = 180 / turns_per_circle(scene.graph)
         self.state, self._off = 0, 0.0
 
@@ -181,7 +180,7 @@ class Dumped:
 
     def views(self) -> Image:
         """Return the four views around the agent."""
-        return np.stack([self._views[int(state)] for state in self._around[self.state]])
+        return np.stack([self._views[int(state)] for state in self.scene.surrounding[self.state]])
 
 
 class Noisy:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dirl.scenes.errors import SceneError as SceneError  # where all look for it
-from dirl.scenes.graph import AHEAD, RIGHT, GraphError, IntArray, check_graph, shortest_distances, surrounding_states
+from dirl.scenes.graph import AHEAD, RIGHT, GraphError, IntArray, check_graph, shortest_distances, turns_per_circle
 from dirl.scenes.views import FileViews, Views, check_image
 
 A = TypeVar("A", bound=np.ndarray)
@@ -153,8 +153,17 @@ class Scene:
 
     @cached_property
     def surrounding(self) -> IntArray:
-        """The states ahead, right, back and left of each state, int64 ``[N, 4]``."""
-        return _read_only(surrounding_states(self.graph))
+        """The states seen ahead, to the right, behind and to the left of each heading, int64 ``[N, 4]``.
+
+        They are found by repeated turns along the graph's own links, never from the numbering of the states (paper
+        section 3.5). Column 0 is the state itself, and a state without moves sees itself four times.
+        """
+        states = np.arange(len(self))
+        right = np.where(self.graph[:, RIGHT] >= 0, self.graph[:, RIGHT], states)
+        quarter = states
+        for _ in range(turns_per_circle(self.graph) // 4):
+            quarter = right[quarter]
+        return _read_only(np.stack([states, quarter, quarter[quarter], quarter[quarter[quarter]]], 1))
 
     @cached_property
     def step_length(self) -> float:

@@ -32,6 +32,9 @@ MAX_WEBP_PIXELS = 2**26
 FORMATS = {"PNG": (PngImageFile, b"\x89PNG"), "JPEG": (JpegImageFile, b"\xff\xd8"), "WEBP": (WebPImageFile, b"RIFF")}
 """Of images: Pillow's class, and how a file begins. It knows many more, and starts other programs for some of them."""
 
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+"""Of their files."""
+
 
 class ImageError(SceneError):
     """Bytes that are no image of a known format; the message says why, on one line."""
@@ -79,7 +82,7 @@ class FileViews:
             raise IndexError(f"{self.path}: state {state} has no view; states are 0..{len(self) - 1}")
         if self.unpacked is not None:
             return self.unpacked[state].copy()
-        stored = self._stored(state)
+        stored = self.stored(state)
         if self.shape is not None:
             return np.frombuffer(bytearray(stored), np.uint8).reshape(*self.shape, 3)
         try:
@@ -87,11 +90,8 @@ class FileViews:
         except ImageError as error:
             raise ValueError(f"{self.path}: {self.dataset}: state {state}: not a readable image ({error})") from None
 
-    def encoded(self, state: int) -> bytes | None:
-        """Return the stored bytes of an encoded view; None where views are stored as raw pixels."""
-        return None if self.dataset == "observation" else self._stored(state)
-
-    def _stored(self, state: int) -> bytes:
+    def stored(self, state: int) -> bytes:
+        """Return the bytes of a view in the file; `ValueError` if they cannot be read any more."""
         start, length = self.spans[state].tolist()
         try:
             with self.path.open("rb") as file:
@@ -114,11 +114,12 @@ def check_image(view: NDArray[np.generic], what: str) -> NDArray[np.uint8]:
 
 def encoded_view(views: Views, state: int, quality: int | None = None) -> bytes:
     """Return the view of a state as the bytes of an image: those of its file, else WebP, see `encode`."""
-    stored = views.encoded(state) if isinstance(views, FileViews) else None
-    return stored or encode(views[state], quality)
+    if isinstance(views, FileViews) and views.dataset == "observation_webp":
+        return views.stored(state)
+    return encode(views[state], quality)
 
 
-def encode(view: NDArray[np.uint8], quality: int | None = 85, method: int = 6) -> bytes:
+def encode(view: NDArray[np.uint8], quality: int | None = 90, method: int = 6) -> bytes:
     """Encode a view as WebP; ``quality`` is 0 to 100, or None for lossless; ``method`` 0 is quick, 6 small."""
     buffer = io.BytesIO()
     if quality is None:

@@ -19,10 +19,10 @@ import numpy as np
 from annotated_types import Ge, Le
 from PIL import ExifTags, Image, ImageOps
 
-from dirl.scenes.graph import ACTIONS, AHEAD, BACK, IntArray, turns_only
+from dirl.scenes.graph import ACTIONS, AHEAD, BACK, MAX_TURNS, IntArray, turns_only
 from dirl.scenes.io.files import atomic_path, check_choice, checked, inside, read_csv
 from dirl.scenes.scene import LARGEST, Scene, SceneError
-from dirl.scenes.views import encode, natural_order, open_photo, to_rgb
+from dirl.scenes.views import SUFFIXES, encode, natural_order, open_photo, to_rgb
 
 TABLE = "states.csv"
 REQUIRED = ("image", "location", "heading", "x", "z", "ahead")
@@ -32,9 +32,6 @@ Number = Annotated[float, Ge(-LARGEST), Le(LARGEST)]
 
 TOLERANCE = 1.0
 """Degrees that a heading may be off."""
-
-MAX_HEADINGS = 360
-"""Headings of a location at most; nearer ones cannot be told apart."""
 
 PANORAMA_MARK = b"GPano:ProjectionType"
 """What cameras write into the XMP metadata of a panorama."""
@@ -60,11 +57,6 @@ class Row:
     goal: Literal["yes"] | None = None
     shot: Annotated[int, Ge(0), Le(999_999)] = 0
     """0 for the first image of a place and heading; further ones have a number a visit."""
-
-    @property
-    def position(self) -> tuple[float, float]:
-        """X and z."""
-        return self.x, self.z
 
 
 def read_photos(folder: str | Path, *, name: str | None = None) -> tuple[Scene, list[Path]]:
@@ -101,7 +93,7 @@ def read_photos(folder: str | Path, *, name: str | None = None) -> tuple[Scene, 
     scene = Scene(
         name=name,
         graph=_graph(states, numbers),
-        positions=np.array([row.position for row in states]),
+        positions=np.array([(row.x, row.z) for row in states]),
         headings=np.array([row.heading for row in states]) % 360,
         goals=tuple(state for state, row in enumerate(states) if row.goal),
         source="photos",
@@ -153,7 +145,7 @@ def encoded_photos(images: Sequence[Path], height: int, width: int) -> Iterator[
                 "into one image a heading (an ordinary image of that shape: crop it a little)"
             )
         upright = to_rgb(open_photo(path))
-        yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)), quality=90)
+        yield encode(np.asarray(ImageOps.fit(upright, (width, height), Image.Resampling.LANCZOS)))
 
 
 def write_table(folder: Path, rows: Sequence[dict[str, object]]) -> None:
@@ -184,8 +176,7 @@ def draft_table(folder: str | Path, headings: int = 4) -> str:
         raise SceneError(f"headings={headings}: a place has a multiple of four, evenly spread")
     if os.path.lexists(folder / TABLE):  # a link to nowhere would be written to
         raise SceneError(f"{folder / TABLE}: is there already; delete it to have it drafted anew")
-    suffixes = {".jpg", ".jpeg", ".png", ".webp"}
-    photos = [file for file in folder.glob("*") if file.suffix.lower() in suffixes and file.is_file()]
+    photos = [file for file in folder.glob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
     files = [inside(folder, file.name, f"{folder}: a photo") for file in photos]  # as the table's reader asks
     if not files:
         raise SceneError(f"{folder}: holds no photos (JPEG, PNG or WebP)")
@@ -270,8 +261,8 @@ def _row(values: Mapping[str, str], where: str, folder: Path) -> Row:
 def _check_place(location: str, here: Sequence[Row], count: int) -> None:
     """Check the headings, in their order, and the positions of a location; ``count`` is how many the first one has."""
     first = here[0]
-    if len(here) > MAX_HEADINGS:
-        raise SceneError(f"{first.where}: location '{location}' has {len(here)} headings; at most {MAX_HEADINGS}")
+    if len(here) > MAX_TURNS:
+        raise SceneError(f"{first.where}: location '{location}' has {len(here)} headings; at most {MAX_TURNS}")
     if len(here) != count or count % 4:
         raise SceneError(
             f"{first.where}: location '{location}' has {len(here)} headings; expected the same multiple of four "
@@ -285,10 +276,9 @@ def _check_place(location: str, here: Sequence[Row], count: int) -> None:
                 f"{after.heading:g}, are {turn:g} degrees; {count} headings must be {360 / count:g} apart"
             )
     for row in here:
-        if row.position != first.position:
-            raise SceneError(
-                f"{row.where}: location '{location}' is at {row.position}, but at {first.position} in {first.where}"
-            )
+        at, there = (row.x, row.z), (first.x, first.z)
+        if at != there:
+            raise SceneError(f"{row.where}: location '{location}' is at {at}, but at {there} in {first.where}")
 
 
 def _graph(states: Sequence[Row], numbers: Mapping[str, range]) -> IntArray:

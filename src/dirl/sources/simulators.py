@@ -10,9 +10,6 @@ from dirl.scenes.live import Pose, Simulator, looked, simulator_errors, state_po
 from dirl.scenes.scene import Scene, SceneError
 from dirl.scenes.views import encode
 
-QUALITY = 90
-"""Quality of the views, as WebP."""
-
 Cell = tuple[int, int]
 """A place, in steps from the first one."""
 
@@ -71,7 +68,7 @@ def take_scene(
         for state in trange(len(scene), desc="views", disable=None):
             pose = state_pose(scene, state)
             simulator.place(pose)
-            views.append(encode(looked(simulator, pose.heading), QUALITY))
+            views.append(encode(looked(simulator, pose.heading)))
     return scene, views
 
 

@@ -1,6 +1,6 @@
 """Scenes from live AI2-THOR."""
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,25 +9,7 @@ from dirl.scenes.live import Pose, simulator_errors
 from dirl.scenes.scene import SceneError
 
 
-class Event(Protocol):
-    """What came of an action."""
-
-    frame: NDArray[np.uint8]
-    """RGB ``[H, W, 3]``."""
-    metadata: dict[str, Any]
-    """Read are ``lastActionSuccess``, ``errorMessage`` and ``agent``: ``position`` and ``rotation``, x, y, z."""
-
-
-class Controller(Protocol):
-    """The part of the interface of ``ai2thor.controller.Controller`` that is used."""
-
-    def step(self, action: str, **arguments: object) -> Event:
-        """Execute an action."""
-
-
-def start_controller(
-    scene: str, *, step: float, height: int, width: int, field_of_view: float, headless: bool
-) -> Controller:
+def start_controller(scene: str, *, step: float, height: int, width: int, field_of_view: float, headless: bool) -> Any:
     """Return a controller of AI2-THOR with the agent in a scene; its build is downloaded when it is first used.
 
     Args:
@@ -65,9 +47,13 @@ def start_controller(
 
 
 class Thor:
-    """A controller with the agent in a scene, such as ``FloorPlan401``, as a `dirl.scenes.live.Simulator`."""
+    """A controller with the agent in a scene, such as ``FloorPlan401``, as a `dirl.scenes.live.Simulator`.
 
-    def __init__(self, controller: Controller, scene: str) -> None:
+    Of its ``step`` are used ``Pass``, ``Teleport``, ``MoveAhead`` and ``MoveBack``, and of their events the frame, RGB,
+    uint8 ``[H, W, 3]``, and the metadata ``agent``, ``lastActionSuccess`` and ``errorMessage``.
+    """
+
+    def __init__(self, controller: Any, scene: str) -> None:
         self.name, self._controller = scene, controller
         with simulator_errors(f"{scene}: AI2-THOR"):
             event = controller.step("Pass")

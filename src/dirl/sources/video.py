@@ -21,6 +21,7 @@ from dirl.scenes.io.read import SECONDS, environment, limit, why_ended
 from dirl.scenes.scene import SceneError
 from dirl.scenes.views import (
     MAX_PHOTO_PIXELS,
+    SUFFIXES,
     ImageError,
     natural_order,
     open_image,
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
 
 SIDE = 480
 """Pixels of the longer side of frames as they are compared."""
-
-SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
-"""Suffixes of the images of a folder."""
 
 OTHER_PICTURES = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".gif", ".dng", ".jp2", ".jxl", ".pgm", ".ppm")
 """Suffixes of pictures that are not read: a recording in which they were left out would have holes."""

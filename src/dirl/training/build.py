@@ -54,8 +54,8 @@ from dirl.training.objectives import ImitationLoss, Losses, ScheduledLoss, train
 from dirl.training.pairs import Demonstrations, DrawnPairs
 
 
-def build_world(config: TrainConfig, extractor: str | None = None) -> World:
-    """Read the scenes and join them into a world, on the configured device.
+def build_world(config: TrainConfig, extractor: str | None = None, scenes: Sequence[Scene] | None = None) -> World:
+    """Read the scenes, unless they are given, and join them into a world, on the configured device.
 
     Scenes with views get the features of ``extractor``, on which a checkpoint was trained, see `encoded_as`.
 
@@ -64,8 +64,9 @@ def build_world(config: TrainConfig, extractor: str | None = None) -> World:
         ConfigError: the device is not available, or so many workers are impossible.
     """
     check_device(config.device)
-    source = make("source", config.source, config.trust)
-    scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
+    if scenes is None:
+        source = make("source", config.source, config.trust)
+        scenes = load_scenes(config.scene or [], source=source, split=config.split, rooms=config.rooms)
     if extractor is not None:
         patches, pixels = reads_patches(config), pixels_read(config)
         scenes = [encoded_as(scene, extractor, patches=patches, pixels=pixels) for scene in scenes]
@@ -329,6 +330,7 @@ def load_trained(
     origin: str,
     changes: Mapping[str, Any] | None = None,
     trust: Collection[str] = (),
+    scenes: Sequence[Scene] | None = None,
 ) -> Trained:
     """Return the policy of a checkpoint in evaluation mode, and the world of its configuration.
 
@@ -337,6 +339,7 @@ def load_trained(
         origin: where it stood, for errors.
         changes: options to replace in its configuration, by dotted name.
         trust: packages whose classes it may name, see `dirl.config.components.find_class`.
+        scenes: those of the configuration, if they have been read already.
 
     Raises:
         ConfigError: the configuration, or what it makes, cannot be used; the scenes' features are of another extractor;
@@ -344,7 +347,7 @@ def load_trained(
         SceneError: a scene or goal that does not exist or cannot be used.
     """
     config = saved_config(saved, origin, changes, trust)
-    world = build_world(config, saved["extractor"])
+    world = build_world(config, saved["extractor"], scenes)
     tell_of_turns(turns_of_training(saved), world.turns.unique().tolist(), origin)
     held_out = build_goals(config, world.scenes).held_out
     if changes and changes.get("seed") is not None:
@@ -418,7 +421,7 @@ def learning_policy(
         and (surrounding is not None or type(observation) is SequentialViews)  # one's own may hide views at any time
         and len(world) <= world.features.shape[1]  # with more states there is next to nothing to save
     ):
-        table = ObservationTable(table.features, table.mean, table.std, table.axes, surrounding, views)
+        table = ObservationTable(table, surrounding, views)
     policy: ActorCritic = build_policy(config, table, world.names, world=everywhere, views=views)
     if initial is not None:
         load_weights(policy, initial, str(config.init), world.names)

@@ -4,10 +4,11 @@ import copy
 from typing import TypeAlias
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from dirl.agent.decisions import observe
 from dirl.envs import SurroundingViews
 from dirl.envs.transforms import front_only
 from dirl.evaluation.episodes import drawn_looks
@@ -56,25 +57,20 @@ class DrawnPairs:
 
     def draw(self, size: int) -> TensorDictBase:
         """Return up to ``size`` demonstrations; pairs for which the expert has no advice are left out."""
-        world, device = self.world, self.world.device
+        world, observation, device = self.world, self.observation, self.world.device
         old = 0 if self.visited is None else size // 2
-        goal = world.goals[self._goals(size - old)]
-        scene = world.scene_of[goal]
-        state = self.states[self.first[scene] + (torch.rand(len(goal), device=device) * self.count[scene]).long()]
-        shown = drawn_looks(goal, len(world), world)
-        picture = drawn_looks(state, len(world), world, besides=shown // len(world))
-        seen = {
-            "view_ids": self.observation.reset_view_ids(picture),
-            "goal_view_ids": self.observation.goal_view_ids(shown),
-        }
-        rows = TensorDict({"state": state, "goal": goal, "scene": scene, **seen}, batch_size=[len(goal)])
-        rows = label(self.expert, rows)
+        goal_index = self._goals(size - old)
+        scene = world.scene_of[world.goals[goal_index]]
+        state = self.states[self.first[scene] + (torch.rand(len(scene), device=device) * self.count[scene]).long()]
+        wanted = drawn_looks(goal_index, len(world.goals), world)
+        ahead = drawn_looks(state, len(world), world, besides=wanted // len(world.goals))
+        rows = label(self.expert, observe(world, observation, ahead, observation.reset_view_ids(ahead), wanted))
         if self.visited is not None:
             rows = torch.cat([rows, self.visited[torch.randint(len(self.visited), (old,), device=device)]])
         if self.front_only:
             photo = torch.rand((len(rows), 1), device=device) < self.front_only
             views = rows["goal_view_ids"]
-            rows["goal_view_ids"] = torch.where(photo, front_only(views, self.observation.pictures), views)
+            rows["goal_view_ids"] = torch.where(photo, front_only(views, observation.pictures), views)
         return rows
 
     def _goals(self, size: int) -> Tensor:

@@ -16,6 +16,7 @@ from tasks import die, fail
 from dirl.scenes import load_scenes, read_dump, write_dump
 from dirl.scenes.io import read as isolation
 from dirl.scenes.io.processes import in_processes
+from dirl.scenes.views import encoded_view
 
 
 def packed_views(file):
@@ -36,7 +37,7 @@ def test_a_scene_is_the_same(tmp_path):
             assert getattr(apart, name) == getattr(here, name), name
         for state in range(24):
             assert (apart.views[state] == here.views[state]).all()
-            assert apart.views.encoded(state) == here.views.encoded(state)
+            assert encoded_view(apart.views, state) == encoded_view(here.views, state)
 
 
 def test_several_files_are_read_by_one_process_and_the_error_names_the_one(tmp_path, monkeypatch):

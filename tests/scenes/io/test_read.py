@@ -63,7 +63,7 @@ def test_encoded_images_are_seen_and_go_before_raw_ones(dump):
     seen = read_here(dump).views
     assert seen[23].shape == (6, 8, 3)
     assert np.abs(seen[23].astype(int) - 50).max() <= 3
-    assert (seen.encoded(5), seen.encoded(23)) == (VIEW, other)
+    assert (seen.stored(5), seen.stored(23)) == (VIEW, other)
 
 
 def test_columns_may_be_in_any_declared_order_and_a_file_may_have_any_name(scene, dump):

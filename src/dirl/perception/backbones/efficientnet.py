@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.perception.backbones.encoder import EncoderError, ViewEncoder, resized, staged_encoder, weights_hash
-from dirl.perception.backbones.patches import load_projection
+from dirl.perception.backbones.patches import FINE, load_projection
 from dirl.scenes.io.files import file_digest
 
 SIZE = (224, 224)
@@ -135,7 +135,7 @@ def lite0_encoder(device: str | torch.device = "cpu", *, cells: tuple[int, int] 
         "projection": f"sha256:{file_digest(PROJECTION)}",
     }
     projection = load_projection(device, PROJECTION, cells)
-    return staged_encoder(inner, network.pool, attributes, projection, described, few=few)
+    return staged_encoder(inner, network.pool, attributes, projection, described, few=few, fine=cells == FINE)
 
 
 def _inner_stage(network: EfficientNetLite0, device: str | torch.device, views: Tensor) -> Tensor:

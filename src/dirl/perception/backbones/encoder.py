@@ -27,12 +27,14 @@ class ViewEncoder:
         forward_patches: RGB views to features and patches (see `dirl.perception.backbones.patches`), float32 ``[B, D]``
             and ``[B, cells, channels]``; None where no patches were asked for.
         patch_attributes: how the patches are made, as dumps store it: ``extractor``, ``projection``.
+        fine: whether the patches are fine ones.
     """
 
     forward: Callable[[Tensor], Tensor]
     attributes: Mapping[str, str]
     forward_patches: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
     patch_attributes: Mapping[str, str] = field(default_factory=dict)
+    fine: bool = False
 
     @property
     def extractor(self) -> str:
@@ -52,8 +54,9 @@ def staged_encoder(
     patch_attributes: Mapping[str, str] | None = None,
     *,
     few: int | None = None,
+    fine: bool = False,
 ) -> ViewEncoder:
-    """Make an encoder: ``inner`` gives a map, ``pool`` its features and ``projection`` its patches.
+    """Make an encoder: ``inner`` gives a map, ``pool`` its features and ``projection`` its patches, maybe fine ones.
 
     At most ``few`` views go through the network at a time; without a projection there are no patches. It can be
     pickled if all of these can.
@@ -61,7 +64,7 @@ def staged_encoder(
     staged = _Staged(inner, pool, projection, few)
     if projection is None:
         return ViewEncoder(staged.features, attributes)
-    return ViewEncoder(staged.features, attributes, staged.features_and_patches, patch_attributes or {})
+    return ViewEncoder(staged.features, attributes, staged.features_and_patches, patch_attributes or {}, fine)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 from dirl.scenes.scene import SceneError
 
@@ -71,20 +71,10 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-class Doom(Protocol):
-    """A game of ViZDoom."""
+def end_with_this_process(owner: object, game: Any) -> None:
+    """Let a game of Doom end with its owner and with this process, even if that is killed: it would wait for ever.
 
-    def add_game_args(self, args: str) -> None:
-        """Add arguments to its command line."""
-
-    def close(self) -> None:
-        """End it."""
-
-
-def end_with_this_process(owner: object, game: Doom) -> None:
-    """Let a Doom end with its owner and with this process, even if that is killed: Doom waits for orders for ever.
-
-    It is called before the Doom starts, which takes a second.
+    This is called before it starts, which takes a second.
     """
     if not Path("/proc").is_dir():  # elsewhere than on Linux a killed program leaves its Doom behind
         return
@@ -94,6 +84,6 @@ def end_with_this_process(owner: object, game: Doom) -> None:
     weakref.finalize(owner, _close, game, watch)
 
 
-def _close(game: Doom, watch: subprocess.Popen[bytes]) -> None:
+def _close(game: Any, watch: subprocess.Popen[bytes]) -> None:
     game.close()
     watch.communicate(b"\n")

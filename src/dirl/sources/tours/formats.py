@@ -6,15 +6,13 @@ from pathlib import Path
 
 from dirl.scenes.io.files import inside, read_csv, text_of
 from dirl.scenes.scene import SceneError
+from dirl.scenes.views import SUFFIXES
 from dirl.sources.tours.javascript import SCENES, read_marzipano, read_pannellum
 from dirl.sources.tours.krpano import read_krpano
 from dirl.sources.tours.pixels import Equirectangular
 from dirl.sources.tours.tour import MOST_TEXT, Described, Link, Panorama, Tour, make_tour, number
 
 LINKS, PLACES = "links.csv", "panoramas.csv"
-
-ENDINGS = (".jpg", ".jpeg", ".png", ".webp")
-"""Suffixes of panoramas in a folder."""
 
 
 def read_table(file: Path) -> Described:
@@ -41,7 +39,9 @@ def read_table(file: Path) -> Described:
         position, heading = places.get(name, (None, None))
         return Panorama(name, Equirectangular(inside(folder, name, str(file))), tuple(links[name]), position, heading)
 
-    lonely = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.name not in links)
+    lonely = sorted(
+        path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.name not in links
+    )
     notes = [f"{len(lonely)} images have no link and are left out, the first: {lonely[0]}"] if lonely else []
     return folder.resolve().name, [(name, partial(panorama, name)) for name in sorted(links)], notes
 

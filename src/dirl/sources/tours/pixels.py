@@ -23,9 +23,6 @@ MOST_LEVELS, MOST_TILES = 16, 64
 FACES = "frblud"
 """A cube's front, right, back, left, up, down. The lower edge of ``u`` and the upper one of ``d`` touch ``f``."""
 
-QUALITY = 90
-"""Quality of the views, as WebP."""
-
 Pixels = NDArray[np.uint8]
 
 
@@ -228,4 +225,4 @@ def cut_views(
     for image, of_image in zip(images, yaws, strict=True):
         pixels = read_panorama(image, density(size, field_of_view))
         for yaw in of_image.tolist():
-            yield encode(cut(pixels, yaw, size, field_of_view), QUALITY)
+            yield encode(cut(pixels, yaw, size, field_of_view))
