@@ -22,12 +22,8 @@ def export_onnx(navigator: Navigator, file: str | Path, opset: int | None = None
     ``logits`` ``[B, 4]``, ``value`` ``[B, 1]`` and ``matching`` ``[B]``. A policy with memory also takes its recurrent
     state (zeros at the beginning of an episode) and returns the next one as ``next_<name>``. The layers are those of
     the navigator's scene. The file's metadata holds ``scene``, ``extractor``, ``views`` (their order) and
-    ``threshold``. It does not contain the encoder.
-
-    Args:
-        navigator: whose policy is exported.
-        file: to write.
-        opset: the version of ONNX's operators that the runtime knows; that which torch prefers if left out.
+    ``threshold``. It does not contain the encoder. ``opset`` is the version of ONNX's operators that the runtime knows;
+    that which torch prefers if left out.
 
     Raises:
         NavigatorError: a package that the export needs is not installed, or torch cannot export for this version.

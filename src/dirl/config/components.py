@@ -116,13 +116,10 @@ def check_components(config: TrainConfig, trust: Collection[str] | None = None) 
 
 
 def find_class(name: str, target: object, trust: Collection[str] | None = None) -> type:
-    """Return the class that a component names.
+    """Return the class that a component names, ``package.module.Class``.
 
-    Args:
-        name: of the component, for errors.
-        target: ``package.module.Class``.
-        trust: packages whose classes a configuration may name besides dirl's own and `PUBLIC`; None = any, for a
-            configuration that the user composed on the command line. Of other packages nothing is imported.
+    ``trust`` are packages whose classes a configuration may name besides dirl's own and `PUBLIC`; None = any, for a
+    configuration that the user composed on the command line. Of other packages nothing is imported.
 
     Raises:
         ConfigError: there is no such class, or it is not trusted.
@@ -221,13 +218,10 @@ def schedules(name: str, options: Options) -> dict[str, Schedule]:
 
 
 def make(name: str, options: Options, trust: Collection[str] | None = None, **offered: object) -> Any:
-    """Make a component.
+    """Make a component (``encoder``, ``losses.a2c``, ...) by its options; with None as ``_target_`` none is made.
 
-    Args:
-        name: ``encoder``, ``losses.a2c``, ...
-        options: with ``_target_``; None as its value makes nothing.
-        trust: see `find_class`.
-        offered: arguments for those parameters of the constructor that have these names.
+    What is ``offered`` goes to those parameters of the constructor that have these names. For ``trust`` see
+    `find_class`.
 
     Raises:
         ConfigError: see `find_class` and `check_options`; or the constructor refuses its arguments.
@@ -257,12 +251,7 @@ CODE = (ArithmeticError, AssertionError, AttributeError, LookupError, NameError,
 
 @contextmanager
 def tried(name: str, used: object, how: str = "") -> Iterator[None]:
-    """Report an error of a component within this context in one line.
-
-    Args:
-        name: of the component, ``losses.a2c``.
-        used: the component.
-        how: it is called, for the error.
+    """Report an error of a component within this context in one line; ``how`` says how it is called.
 
     Raises:
         ConfigError: the component, or a check of what it gave, raised one of `CODE`.

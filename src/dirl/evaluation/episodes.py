@@ -57,8 +57,7 @@ class Episodes:
 class RandomPolicy(TensorDictModuleBase):
     """Each action with the same probability, whatever is observed: writes ``logits``, float32 ``[B, 4]``.
 
-    Args:
-        like: a policy that may tell where places lie, see `dirl.agent.decisions.locating`; this one tells the same.
+    Where places lie it tells as the policy ``like`` does, if there is one; see `dirl.agent.decisions.locating`.
     """
 
     in_keys: ClassVar = ["state"]

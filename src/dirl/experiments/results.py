@@ -116,8 +116,7 @@ Cell = str | float | list[float] | None
 class Table:
     """Rows of texts, numbers, and lists of numbers: one for each run, shown as interquartile mean and interval.
 
-    Args:
-        columns: the format of each column's numbers, as for `format`, by its heading; empty for texts.
+    Columns are given by heading, with the format of their numbers, as for `format`; an empty one for texts.
     """
 
     def __init__(self, columns: Mapping[str, str]) -> None:

@@ -29,10 +29,6 @@ class GoalBelief:
 
     Every visit says, facing each view, how likely the goal lies so far ahead and to the right. Dead reckoning tells
     where the visit was, so what all visits say can be added up in the cells of one grid.
-
-    Args:
-        agents: B.
-        device: of the grids.
     """
 
     def __init__(self, agents: int, device: torch.device | str = "cpu") -> None:

@@ -5,13 +5,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.envs.transforms import VIEWS
-from dirl.perception.backbones.patches import FINE, FINE_SHAPE
+from dirl.perception.backbones.patches import FINE, FINE_KEPT, FinePatches
 
 PAIRS_AT_ONCE = 256
 """Visits whose fine patches are compared at a time: a hundred megabytes."""
-
-KEPT, PROJECTED = 32, 32
-"""Channels of a patch that are compared as they are, and width of the learned projection."""
 
 COLUMNS_TOLD, VIEW_TOLD = 8, 128
 """Numbers that are told of two columns, and of each view around the agent."""
@@ -76,35 +73,19 @@ class GoalLocator(nn.Module):
         return located.float().log_softmax(-1).unflatten(-1, (self.side, self.side))
 
 
-class FinePairs(nn.Module):
+class FinePairs(FinePatches):
     """Compare the fine patches of each view around the agent with those of each view of the goal.
 
     A step towards what a view shows moves its patches away from the middle. So each column of one view is compared with
     each column of the other, all rows with all, by layers that are the same for every two columns. Every view of the
     goal is a photo that was taken at its place, and what several of them tell is added up.
-
-    Args:
-        dropout: of patches, in training.
     """
 
-    def __init__(self, dropout: float = 0.1) -> None:
-        super().__init__()
+    def __init__(self) -> None:
+        super().__init__(dropout=0.1)
         rows, columns = FINE
-        self.register_buffer("mean", torch.zeros(FINE_SHAPE[1]))
-        self.register_buffer("std", torch.ones(FINE_SHAPE[1]))
-        self.dropout = nn.Dropout(dropout)
-        self.patch = nn.Linear(FINE_SHAPE[1], PROJECTED, bias=False)
         self.columns = nn.Sequential(nn.Linear(2 * rows**2, 48), nn.ReLU(), nn.Linear(48, COLUMNS_TOLD), nn.ReLU())
         self.view = nn.Sequential(nn.Linear(columns**2 * COLUMNS_TOLD, VIEW_TOLD), nn.ReLU())
-
-    mean: Tensor
-    std: Tensor
-    """Mean and deviation of fine patches in training rooms."""
-
-    def measure(self, patches: Tensor) -> None:
-        """Standardise by the patches of training rooms, float ``[N, 48, 96]``."""
-        cells = patches.flatten(0, 1).float()
-        self.mean, self.std = cells.mean(0), cells.std(0)
 
     def forward(self, patches: Tensor, goal_patches: Tensor) -> Tensor:
         """Return what is told of each view, float32 ``[B, 4, width]``, of ``[B, 4, 48, 96]`` and ``[B, V, 48, 96]``."""
@@ -116,7 +97,7 @@ class FinePairs(nn.Module):
 
     def describe(self, patches: Tensor) -> tuple[Tensor, Tensor]:
         """Return patches projected and as they are, each of length one, ``[..., 48, 96]`` to ``[..., 6, 8, W]``."""
-        standard = self.dropout((patches.float() - self.mean) / self.std)
-        parts = self.patch(standard), standard[..., :KEPT]
+        standard = self.dropout(self.standardised(patches))
+        parts = self.patch(standard), standard[..., :FINE_KEPT]
         projected, kept = (F.normalize(part, dim=-1).unflatten(-2, FINE) for part in parts)
         return projected, kept

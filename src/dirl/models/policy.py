@@ -111,9 +111,7 @@ class SceneTrunks(nn.Module):
     work; but not on a GPU, for which the CPU would have to wait to count the rows of each scene. (A stacked parameter
     would lose the scenes' names in the state_dict, and with them adding or freezing a scene.)
 
-    Args:
-        scenes: the scenes' names, in the order of the world; a single name serves every scene.
-        make: makes one scene's module.
+    Scenes are given by name, in the order of the world; a single name serves every scene.
 
     Raises:
         ValueError: two scenes have the same name, or differ only in dots and underscores.

@@ -326,13 +326,8 @@ def fit_closely(seen: Described, frames: Described, some: Sequence[int], size: t
     """Return how many points of XFeat in one view match those of some frames, each counted by its probability, ``[S]``.
 
     LighterGlue, which is LightGlue for XFeat (Lindenberger et al., ICCV 2023), looks at all points of both views before
-    it decides, and so tells places apart that look alike. It takes ten times as long as `Matcher.fit`.
-
-    Args:
-        seen: one view.
-        frames: others.
-        some: numbers of those that are compared.
-        size: height and width of the frames, pixels.
+    it decides, and so tells places apart that look alike. It takes ten times as long as `Matcher.fit`. ``size`` is the
+    height and width of the frames, pixels.
     """
 
     def view(positions: NDArray[np.float32], vectors: Tensor) -> dict[str, Tensor]:

@@ -23,12 +23,8 @@ FloatArray = NDArray[np.float64]
 def draw_learning_curve(folder: Path, file: Path) -> None:
     """Draw a run: ATL, and SR and SPL of the greedy evaluation, over frames, as a PNG.
 
-    A run of imitation alone, with ``imitation.csv`` but no ``reinforcement.csv``, is drawn as the loss and accuracy of
-    its steps.
-
-    Args:
-        folder: holds ``summary.json``, and a table for each stage that has written any rows.
-        file: the image to write.
+    Its folder holds ``summary.json``, and a table for each stage that has written any rows. A run of imitation alone,
+    with ``imitation.csv`` but no ``reinforcement.csv``, is drawn as the loss and accuracy of its steps.
 
     Raises:
         FileNotFoundError: there is no ``summary.json``.

@@ -73,11 +73,7 @@ def write_mcap(file: Path, steps: Iterable[tuple[float, NDArray[np.uint8], str]]
     """Write pictures and what is said with them as an MCAP file, which Foxglove and Rerun open.
 
     They are ROS 2 messages: ``sensor_msgs/CompressedImage`` on ``/camera/image/compressed``, ``std_msgs/String`` on
-    ``/moves``.
-
-    Args:
-        file: a new one.
-        steps: seconds, the picture, RGB, uint8 ``[H, W, 3]``, and a text; each.
+    ``/moves``. A step is seconds, the picture, RGB, uint8 ``[H, W, 3]``, and a text.
 
     Raises:
         MapError: the packages that write it are not installed.

@@ -35,13 +35,7 @@ def draw_scene(
 ) -> None:
     """Draw a scene's first goal: greedy episodes, that of the farthest start as a GIF; maps of the policy.
 
-    Args:
-        policy: trained.
-        protocol: how it is evaluated, and where.
-        index: of the scene in the world.
-        folder: for the files.
-        matching: computes the map of matching scores.
-        facts: of the run, see `dirl.training.build.describe`.
+    The scene is given by its place in the world, the ``facts`` are `dirl.training.build.describe`'s of the run.
     """
     world, scene = protocol.world, protocol.world.scenes[index]
     goal_index = world.goals_of[index][0]
@@ -64,15 +58,9 @@ def draw_scene(
 def write_gif(scene: Scene, goal: int, path: Sequence[int], file: Path, *, title: str, success: bool) -> None:
     """Write an episode as an animated GIF, a frame a state: present view, goal's view, map with the path.
 
-    Of one that is longer than `MAX_FRAMES` the first states and the last one are shown.
-
-    Args:
-        scene: where it was walked; without views only the map is shown.
-        goal: a state of the scene.
-        path: the states from the start to the end. One that follows itself is a blocked move.
-        file: the image to write.
-        title: of the animation.
-        success: whether it ended in a stop at the goal.
+    Of one that is longer than `MAX_FRAMES` the first states and the last one are shown, of a scene without views only
+    the map. The path is all states from the start to the end; one that follows itself is a blocked move. ``success``
+    says whether it ended in a stop at the goal.
 
     Raises:
         ValueError: the path is empty or makes a step that the scene's graph does not allow, or the goal is no state

@@ -157,8 +157,7 @@ def summary_table(summary: Summary) -> str:
 def over_scenes(scenes: Mapping[str, Mapping[str, float]]) -> str:
     """Return a sentence: the mean SPL of all episodes, its interval over scenes, and the worst scene.
 
-    Args:
-        scenes: measures by scene, at least ``spl``, ``sr`` and ``episodes``.
+    Of the measures by scene ``spl``, ``sr`` and ``episodes`` are read.
     """
     spl, episodes = (np.array([of[name] for of in scenes.values()], float) for name in ("spl", "episodes"))
     low, high = mean_interval(spl, episodes)

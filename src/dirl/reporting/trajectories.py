@@ -50,14 +50,8 @@ def draw_trajectories(
 ) -> None:
     """Draw paths to one goal on the map of the room, and the views along the first of them, as a PNG.
 
-    Args:
-        scene: where they were walked; without views only the map is drawn.
-        goal: a state of the scene.
-        paths: at least one; the states visited from the start to the end, as states of the scene. A state that
-            follows itself is a blocked move.
-        file: the image to write.
-        success: whether each path ended in a stop at the goal; the others are dashed.
-        title: of the figure.
+    Of a scene without views only the map is drawn. A path is all states from the start to the end; one that follows
+    itself is a blocked move. ``success`` says whether each ended in a stop at the goal; the others are dashed.
 
     Raises:
         ValueError: a path is empty or makes a step that the scene's graph does not allow, or the goal is no state that

@@ -133,9 +133,7 @@ def load_checkpoint(path: str | Path) -> State:
 def latest_checkpoint(folder: Path, check: Callable[[Path, State], None] = lambda *_: None) -> tuple[State, list[Path]]:
     """Return the latest usable training checkpoint of a run, and those after it, each named on the terminal.
 
-    Args:
-        folder: of the run.
-        check: raises `RunError` for a file and its content that the run cannot have written.
+    ``check`` raises `RunError` for a file and its content that the run cannot have written.
 
     Raises:
         RunError: none can be used.

@@ -67,9 +67,8 @@ class EndAtOnce:
 def one_line_exits(advice: Callable[[], str] = lambda: "", folder: Path | None = None) -> Iterator[None]:
     """End the program with one line at an interrupt, a wrong input or an error of the machine within this context.
 
-    Args:
-        advice: called where the input is not to blame: what is safe, and how to continue.
-        folder: made by Hydra beforehand; deleted again if nothing has been written there.
+    Where the input is not to blame, ``advice`` says what is safe, and how to continue. The ``folder`` was made by Hydra
+    beforehand; it is deleted again if nothing has been written there.
 
     Raises:
         SystemExit: with a status of the table above.

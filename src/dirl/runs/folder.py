@@ -155,8 +155,7 @@ class Run:
     def save(self, state: State) -> None:
         """Write a checkpoint of the training, and delete old ones.
 
-        Args:
-            state: at least ``network`` and ``frames``; ``torch.load`` must be able to read it with ``weights_only``.
+        The state has at least ``network`` and ``frames``; ``torch.load`` must be able to read it with ``weights_only``.
         """
         (self.folder / CONFIG_FILE).stat()  # if somebody has deleted the folder, a part of it must not come back
         tables = {}
@@ -196,12 +195,8 @@ def checkpoint_facts(config: TrainConfig, world: World, view_order: Sequence[str
 def open_run(config: TrainConfig, folder: Path, overrides: Sequence[str]) -> Run:
     """Begin a run in a new folder, or continue the existing one, or that which ``config.resume`` names.
 
-    A run that is continued locks its folder here; a new one does so in `Run.begin`.
-
-    Args:
-        config: as composed; of a resumed run only ``resume`` is used.
-        folder: of a new run.
-        overrides: of the command line.
+    A run that is continued locks its folder here; a new one does so in `Run.begin`. Of a resumed run only
+    ``config.resume`` is used; ``overrides`` are those of the command line.
 
     Raises:
         RunError: the folder holds another run already, is no run's, its run is finished, or another process writes to

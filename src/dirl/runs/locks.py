@@ -27,15 +27,12 @@ class RunningError(RunError):
 
 
 class FolderLock:
-    """The lock of a run folder, held until `release` or until the process ends in whatever way.
+    """The lock of an existing run folder, held until `release` or until the process ends in whatever way.
 
     It is the operating system's (``flock``) on the file ``.lock``, so that a dead process holds none; the file itself
     means nothing, and is deleted at release. On a file system without ``flock`` the library uses the existence of the
     file instead, with a warning. Where locks are refused altogether (some network mounts) the run continues without one
     and says so in one line: do not resume a run there while it is running.
-
-    Args:
-        folder: an existing one.
 
     Raises:
         RunningError: another process holds it; the message says which.

@@ -67,11 +67,7 @@ class Rooms:
 
 
 class Thor(Rooms):
-    """The published dumps of AI2-THOR, of which a user has a copy.
-
-    Args:
-        root: the folder they are in, one ``<name>.h5`` a scene.
-    """
+    """The published dumps of AI2-THOR, of which a user has a copy in the folder ``root``, one ``<name>.h5`` a scene."""
 
     label = "thor"
 

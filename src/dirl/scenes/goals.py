@@ -53,9 +53,10 @@ def choose_goals(scenes: Sequence[Scene], goals: Goals | str, hold_out: float = 
         place = places(scene.graph)
         order = np.random.default_rng(seed).permutation(int(place.max()) + 1)
         order = order[~np.isin(order, place[list(named)])]  # places of goals that are given are not held out
-        held = np.isin(place, order[: _count(hold_out, scene)] if hold_out else [])
+        held = np.isin(place, order[: _count(hold_out, place)] if hold_out else [])
         if isinstance(rule, str):
-            trained[scene.name] = _states(scene, _by_rule(scene, rule, order, hold_out) & reached & ~held, f"={rule}")
+            chosen = _by_rule(scene, rule, place, order, hold_out) & reached & ~held
+            trained[scene.name] = _states(scene, chosen, f"={rule}")
         else:
             trained[scene.name] = named
         if hold_out:
@@ -91,11 +92,11 @@ def _named(scene: Scene, rule: Any) -> tuple[int, ...]:
     return states
 
 
-def _count(fraction: float, scene: Scene) -> int:
-    return max(1, round(fraction * (int(places(scene.graph).max()) + 1)))
+def _count(fraction: float, place: IntArray) -> int:
+    return max(1, round(fraction * (int(place.max()) + 1)))
 
 
-def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.ndarray:
+def _by_rule(scene: Scene, rule: str, place: IntArray, order: IntArray, hold_out: float) -> np.ndarray:
     """Return which states a rule chooses, bool ``[N]``."""
     kind, _, given = rule.partition(":")
     states = np.arange(len(scene))
@@ -111,7 +112,7 @@ def _by_rule(scene: Scene, rule: str, order: IntArray, hold_out: float) -> np.nd
         raise SceneError(f"{scene.name}: goals={rule}: must be states, or one of {RULES}")
     if number + hold_out > 1 + 1e-9:
         raise SceneError(f"{scene.name}: goals={rule} and hold_out={hold_out:g} are more than all places")
-    return np.isin(places(scene.graph), order[-_count(number, scene) :])
+    return np.isin(place, order[-_count(number, place) :])
 
 
 def _states(scene: Scene, chosen: np.ndarray, rule: str) -> tuple[int, ...]:

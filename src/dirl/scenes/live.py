@@ -101,10 +101,7 @@ def turns_by_angle(turn: float) -> int:
 class Simulated:
     """The world of a simulator: an agent that moves as in the dumps made of it.
 
-    Args:
-        simulator: see `Simulator`.
-        step: metres of a move along an axis.
-        turns: right turns in a full circle.
+    A move along an axis is ``step`` metres long, and ``turns`` right turns are a full circle.
     """
 
     def __init__(self, simulator: Simulator, *, step: float, turns: int = 4) -> None:
@@ -186,11 +183,7 @@ class Dumped:
 class Noisy:
     """A world in which moves go wrong.
 
-    Args:
-        world: which.
-        slip: the probability that an action has no effect.
-        turn_error: standard deviation of each turn, degrees.
-        seed: of the errors.
+    With the probability ``slip`` an action has no effect; ``turn_error`` is the standard deviation of turns, degrees.
     """
 
     def __init__(self, world: LiveWorld, *, slip: float = 0.0, turn_error: float = 0.0, seed: int = 0) -> None:

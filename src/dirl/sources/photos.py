@@ -63,11 +63,7 @@ def read_photos(folder: str | Path, *, name: str | None = None) -> tuple[Scene, 
     """Return a scene without views and features from a folder, and the image of each of its states.
 
     States are numbered by location, in the order of the table, and then by heading. With K further shots of each state
-    there are (K + 1) N images, shot by shot.
-
-    Args:
-        folder: holds ``states.csv`` and the images.
-        name: of the scene; the folder's name if left out.
+    there are (K + 1) N images, shot by shot. The scene has the folder's name if none is given.
 
     Raises:
         SceneError: the table is invalid, or describes an invalid scene. The message names the line.

@@ -12,13 +12,8 @@ from dirl.scenes.scene import SceneError
 def start_controller(scene: str, *, step: float, height: int, width: int, field_of_view: float, headless: bool) -> Any:
     """Return a controller of AI2-THOR with the agent in a scene; its build is downloaded when it is first used.
 
-    Args:
-        scene: e.g. ``FloorPlan401``.
-        step: metres between neighbouring positions.
-        height: of a frame, pixels.
-        width: of a frame, pixels.
-        field_of_view: vertical, degrees.
-        headless: render without a display.
+    Neighbouring positions are a ``step`` of metres apart, frames are of so many pixels, and see so many degrees from
+    top to bottom. A ``headless`` one needs no display.
 
     Raises:
         SceneError: AI2-THOR is not installed, does not start, or does not have the scene.

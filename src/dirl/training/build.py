@@ -334,12 +334,9 @@ def load_trained(
 ) -> Trained:
     """Return the policy of a checkpoint in evaluation mode, and the world of its configuration.
 
-    Args:
-        saved: see `dirl.runs.checkpoints.load_checkpoint`.
-        origin: where it stood, for errors.
-        changes: options to replace in its configuration, by dotted name.
-        trust: packages whose classes it may name, see `dirl.config.components.find_class`.
-        scenes: those of the configuration, if they have been read already.
+    The ``changes`` are options to replace in its configuration, by dotted name; ``origin`` is where it stood, for
+    errors, and ``scenes`` are those of the configuration, if they have been read. For ``trust`` see
+    `dirl.config.components.find_class`.
 
     Raises:
         ConfigError: the configuration, or what it makes, cannot be used; the scenes' features are of another extractor;

@@ -52,13 +52,7 @@ class Losses(nn.Module):
     """All losses of an update, by name.
 
     The policy's trunk is computed once for all rows, and writes ``hidden`` with gradients; the losses read it. Losses
-    that have parameters of their own are trained with the policy.
-
-    Args:
-        policy: with a ``trunk`` from observations to ``hidden``, see `dirl.models.ActorCritic`.
-        losses: by name.
-        demonstrations: of an expert.
-        batch_size: of the demonstrations of an update, see `demonstration_batches`.
+    that have parameters of their own are trained with the policy. For ``batch_size`` see `demonstration_batches`.
     """
 
     def __init__(
@@ -200,11 +194,8 @@ def trained_parameters(policy: nn.Module, losses: nn.Module | None = None) -> li
 class ImitationLoss(nn.Module):
     """Cross-entropy between the expert's action and the actor's distribution (paper equation 12).
 
-    TorchRL 0.14's own ``BCLoss`` fails for actors over discrete actions.
-
-    Args:
-        actor: anything with ``get_dist``, as ``ProbabilisticActor`` has.
-        reduction: ``mean``, ``sum`` or ``none``.
+    TorchRL 0.14's own ``BCLoss`` fails for actors over discrete actions. The actor is anything with ``get_dist``, the
+    reduction ``mean``, ``sum`` or ``none``.
 
     Returns of ``forward``: ``loss_imitation`` (scalar) and ``accuracy``, the fraction of rows in which the most
     probable action is the expert's. In keys are the actor's and ``expert_action``, int64 ``[B]``.
@@ -237,7 +228,7 @@ class OptimalActionsLoss(ImitationLoss):
     Often several actions begin a shortest path. The cross-entropy with one of them (`ImitationLoss`) penalises the
     others; this loss leaves the choice to the actor, and is 0 once it takes optimal actions only.
 
-    Args and returns are those of `ImitationLoss`; ``accuracy`` is the fraction of rows in which the most probable
+    Arguments and results are those of `ImitationLoss`; ``accuracy`` is the fraction of rows in which the most probable
     action is optimal. In keys are the actor's and ``optimal_actions``, bool ``[B, A]``.
     """
 
@@ -343,12 +334,6 @@ class TFRMSprop(Optimizer):
     ``ms = alpha ms + (1 - alpha) g^2``, then ``w = w - lr g / sqrt(ms + eps)``. It differs from
     `torch.optim.RMSprop` in two ways that matter with the published ``eps`` of 0.1: epsilon is inside the root, and
     the mean square starts at one, not zero.
-
-    Args:
-        params: the parameters to optimise.
-        lr: learning rate.
-        alpha: decay of the mean square.
-        eps: see above.
     """
 
     def __init__(self, params: Iterable[nn.Parameter], lr: float = 7e-4, alpha: float = 0.99, eps: float = 0.1) -> None:

@@ -163,11 +163,7 @@ def captured(run: Run, components: Components) -> "TrainState | Stack | None":
 
 
 class Stack:
-    """R trainings that differ in numbers and demonstrations only, see `why_alone`.
-
-    Args:
-        every: what each is made of; world and observation are those of all.
-    """
+    """R trainings that differ in numbers and demonstrations only, see `why_alone`; world and observation are shared."""
 
     stacked = True
 

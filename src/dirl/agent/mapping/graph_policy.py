@@ -144,13 +144,7 @@ class GraphMemory(TensorDictModuleBase):
 
 
 class GuidedPolicy(TensorDictModuleBase):
-    """A policy that is led by a map, until it is near the goal and decides by itself.
-
-    Args:
-        policy: reads a tensordict and writes ``logits``.
-        memory: the maps.
-        last_steps: within so many steps of the goal the policy decides; also where the map knows no path.
-    """
+    """A policy that writes ``logits``, led by maps; it decides within ``last_steps`` of a goal, or where none leads."""
 
     out_keys: ClassVar = ["logits"]
 

@@ -186,13 +186,10 @@ class Guide:
         return self._towards(motion, here, sure, "back" if backwards else "ahead", backwards=backwards)
 
     def _leading(self, here: int, path: list[int], fit: Fit, enough: float) -> tuple[list[int], int]:
-        """Return the path to go, and the index of its frame that leads.
+        """Return the path to go, and the index of its frame that leads: the cheapest path from here, or another one.
 
-        Args:
-            here: the present frame, where the path begins.
-            path: the cheapest one to the goal.
-            fit: of the view with the path, and with the path that was followed until now.
-            enough: least score of a frame in sight.
+        The fit is that of the view with this path, and with the one that was followed until now. A frame is in sight
+        with a score of ``enough``.
         """
         link = self.graph.scale.link
         scores, before = np.split(fit.score, [len(path)])

@@ -24,11 +24,7 @@ class Panoramas:
 
     A *panorama* is one observation: the views ahead, right, back and left. Seen from there a quarter further to the
     right, the same four views are in another order, so that each panorama is four *nodes*: node ``4 * panorama + k`` is
-    the panorama k quarters to the right.
-
-    Args:
-        turns: right turns in a full circle.
-        recogniser: compares observations.
+    the panorama k quarters to the right. ``turns`` is the number of right turns in a full circle.
     """
 
     def __init__(self, turns: int, recogniser: Recogniser | None = None) -> None:

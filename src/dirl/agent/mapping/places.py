@@ -185,10 +185,7 @@ def without_doubles(places: Places, odds: list[Tensor]) -> Places:
 
     A walker who does not recognise a place makes it twice. Later visits know better, but a filter does not go back.
     Places with other arrows are never one, nor are those that a move connects, or whose moves lead to different places.
-
-    Args:
-        places: of one agent, all of them used.
-        odds: see `ParticleMapper.odds`.
+    They are those of one agent, all of them used; for ``odds`` see `ParticleMapper.odds`.
     """
     while True:
         similar = similarity(places, odds).masked_fill(contrary(places), -math.inf)

@@ -24,13 +24,10 @@ def save_graph(
     extractor: str = "unknown",
     recogniser: Recogniser | None = None,
 ) -> Path:
-    """Write a map into a folder; an older one there is replaced.
+    """Write a map into a folder, which is made if there is none; an older map there is replaced.
 
-    Args:
-        graph: with at least one place.
-        folder: made if there is none.
-        extractor: what made the features of its views.
-        recogniser: what described the views of a `PlaceMap`; an `ImageGraph` knows its own.
+    It tells what made the features of its views, and what described those of a `PlaceMap`; an `ImageGraph` knows its
+    own recogniser.
 
     Raises:
         MapError: the map is empty.
@@ -55,12 +52,10 @@ def save_graph(
 def load_graph(
     folder: str | Path, *, extractor: str | None = None, recogniser: Recogniser | None = None
 ) -> ImageGraph | PlaceMap:
-    """Read a map; the walker may be anywhere in it.
+    """Read the map in a folder that `save_graph` wrote; the walker may be anywhere in it.
 
-    Args:
-        folder: that `save_graph` wrote.
-        extractor: what will make the features to be compared; not checked if left out.
-        recogniser: what will describe and compare them; of an image graph correlation if left out.
+    What will make the features to be compared, and what will describe and compare them, is not checked if left out; an
+    image graph is then compared by correlation.
 
     Raises:
         MapError: the folder holds no map, it is damaged, or it was made with another extractor or recogniser.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from dirl.scenes.io.files import file_digest
 
@@ -24,6 +24,9 @@ CELLS, FINE = (2, 4), (6, 8)
 
 PATCH_SHAPE, FINE_SHAPE = (CELLS[0] * CELLS[1], 96), (FINE[0] * FINE[1], 96)
 """Patches of a view, and channels of a patch; and those of fine patches."""
+
+FINE_KEPT, FINE_PROJECTED = 32, 32
+"""Channels of a fine patch that are compared as they are, and width of its learned projection."""
 
 PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 
@@ -75,6 +78,30 @@ def coarse(patches: Tensor) -> Tensor:
     (rows, columns), (high, wide) = CELLS, (fine // few for fine, few in zip(FINE, CELLS, strict=True))
     cells = patches.unflatten(-2, (rows, high, columns, wide))
     return cells.float().mean((-4, -2)).flatten(-3, -2).to(patches.dtype)
+
+
+class FinePatches(nn.Module):
+    """What compares fine patches: it standardises them by those of training rooms, and has a projection of each."""
+
+    def __init__(self, dropout: float) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(FINE_SHAPE[1]))
+        self.register_buffer("std", torch.ones(FINE_SHAPE[1]))
+        self.dropout = nn.Dropout(dropout)
+        self.patch = nn.Linear(FINE_SHAPE[1], FINE_PROJECTED, bias=False)
+
+    mean: Tensor
+    std: Tensor
+    """Mean and deviation of fine patches in training rooms; 0 and 1 before the training."""
+
+    def measure(self, patches: Tensor) -> None:
+        """Standardise by the patches of training rooms, float ``[N, 48, 96]``."""
+        cells = patches.flatten(0, 1).float()
+        self.mean, self.std = cells.mean(0), cells.std(0)
+
+    def standardised(self, patches: Tensor) -> Tensor:
+        """Return patches with mean 0 and deviation 1, float32 ``[..., 48, 96]``."""
+        return (patches.float() - self.mean) / self.std
 
 
 def patch_attributes() -> dict[str, str]:

@@ -8,7 +8,15 @@ import torch.nn.functional as F
 from annotated_types import Interval
 from torch import Tensor, nn
 
-from dirl.perception.backbones.patches import FINE, PATCH_SHAPE, are_fine, coarse
+from dirl.perception.backbones.patches import (
+    FINE,
+    FINE_KEPT,
+    FINE_PROJECTED,
+    PATCH_SHAPE,
+    FinePatches,
+    are_fine,
+    coarse,
+)
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.recogniser import Thresholds
 from dirl.scenes.io.files import read_weights
@@ -38,9 +46,6 @@ SCALE = 4.0
 PAIRS_AT_ONCE = 4096
 
 CHANNELS = PATCH_SHAPE[1]
-
-PATCH_KEPT, PATCH_PROJECTED = 32, 32
-"""Channels of a fine patch that `PhotoOdds` compares as they are, and width of its learned projection."""
 
 PATCH_ROWS, PATCH_COLUMNS = 1, 2
 """A fine patch of a photo is compared with those of the view so far above, below and aside."""
@@ -209,49 +214,33 @@ class Learned(nn.Module):
         return odds.view(compared.shape[:-2])
 
 
-class PhotoOdds(nn.Module):
+class PhotoOdds(FinePatches):
     """Compares each fine patch of a photo with those of the view ahead that are near its place in the picture.
 
     A step ahead moves patches away from the middle, an error of heading moves all alike. Convolutions over the cells
     read the cosines at all offsets, and so which of them moved where. The view goes on into those to the left and to
     the right.
-
-    Args:
-        width: of the convolutions.
-        dropout: of patches, in training.
     """
 
-    def __init__(self, width: int = 48, dropout: float = 0.2) -> None:
-        super().__init__()
-        self.register_buffer("mean", torch.zeros(CHANNELS))
-        self.register_buffer("std", torch.zeros(CHANNELS))
+    def __init__(self, width: int = 48) -> None:
+        super().__init__(dropout=0.2)
         self.register_buffer("calibration", torch.tensor([1.0, 0.0]))
-        self.dropout = nn.Dropout(dropout)
-        self.patch = nn.Linear(CHANNELS, PATCH_PROJECTED, bias=False)
         self.cosines = nn.Conv2d(2 * PATCH_OFFSETS, width, 1)
         self.near = nn.ModuleList(nn.Conv2d(width, width, 3, padding=1) for _ in range(2))
         self.odds = nn.Sequential(nn.Linear(2 * width, 64), nn.ReLU(), nn.Linear(64, 1))
 
-    mean: Tensor
-    std: Tensor
-    """Mean and deviation of fine patches in training rooms; zeros before the training."""
     calibration: Tensor
     """Slope and intercept of the log odds, float32 ``[2]``."""
 
     @property
     def trained(self) -> bool:
         """Whether there are weights to compare photos with."""
-        return bool(self.std.any())
-
-    def measure(self, patches: Tensor) -> None:
-        """Standardise by those of training rooms, float ``[N, 48, 96]``."""
-        cells = patches.flatten(0, 1).float()
-        self.mean, self.std = cells.mean(0), cells.std(0)
+        return bool(self.mean.any())
 
     def describe(self, patches: Tensor) -> Tensor:
         """Return two vectors of length one a cell, float ``[..., cells, 96]`` to float32 ``[..., cells * 64]``."""
-        standard = (patches.float() - self.mean) / self.std
-        parts = self.patch(self.dropout(standard)), standard[..., :PATCH_KEPT]
+        standard = self.standardised(patches)
+        parts = self.patch(self.dropout(standard)), standard[..., :FINE_KEPT]
         return torch.cat([F.normalize(part, dim=-1) for part in parts], -1).flatten(-2)
 
     def scores(self, seen: Tensor, photos: Tensor) -> Tensor:
@@ -259,12 +248,12 @@ class PhotoOdds(nn.Module):
 
         They are minus infinity where the view ahead shows nothing, as of a camera that is covered or dead.
         """
-        ahead = seen[..., 0, :].unflatten(-1, (*FINE, -1))[..., PATCH_PROJECTED:]
+        ahead = seen[..., 0, :].unflatten(-1, (*FINE, -1))[..., FINE_PROJECTED:]
         ahead = ahead[..., 1:-1, 1:-1, :]  # at its edges patches differ
         blank = ahead.mean((-3, -2)).norm(dim=-1) > BLANK
         around, photos = self._windows(seen), photos.unflatten(-1, (FINE[0] * FINE[1], -1))
         cosines = []
-        for part in (slice(PATCH_PROJECTED), slice(PATCH_PROJECTED, None)):
+        for part in (slice(FINE_PROJECTED), slice(FINE_PROJECTED, None)):
             cosines.append(torch.einsum("...aocw,...bcw->...aboc", around[..., part], photos[..., part]))
         compared = SCALE * torch.cat(cosines, -2)
         slope, intercept = self.calibration

@@ -181,12 +181,7 @@ def check_choice(name: str, known: Collection[str], where: str, noun: str = "") 
 def inside(folder: Path, name: object, where: str) -> Path:
     """Return the path of a file that a table or a tour names; it lies in the folder, symbolic links followed.
 
-    The file need not exist.
-
-    Args:
-        folder: of the table or the tour.
-        name: of the file, relative to the folder.
-        where: it is named, for errors.
+    The file need not exist. ``where`` it is named is for errors.
 
     Raises:
         SceneError: the name is none, or leads out of the folder.

@@ -59,9 +59,7 @@ KINDS = {"i": "integer", "u": "unsigned integer", "f": "float", "O": "byte strin
 def read_contents(path: str | Path, *, intact: bool = False) -> Contents:
     """Read a dump. Nothing large is read before its shape has been checked, and links to other files are refused.
 
-    Args:
-        path: an existing file.
-        intact: its bytes are known to be those that were written; its digest and its views need no check.
+    Of an ``intact`` one, whose bytes are known to be those that were written, digest and views need no check.
 
     Returns:
         Arguments of `dirl.scenes.Scene`, not yet checked, texts empty where the file does not say; where large arrays

@@ -33,12 +33,9 @@ shared."""
 def in_processes(tasks: Sequence[Callable[[], Result]], processes: int, name: str) -> Iterator[Result]:
     """Yield the results of tasks in the order in which they end; each process has one thread.
 
-    After an error, or when no more results are wanted, tasks that have not begun are dropped.
-
-    Args:
-        tasks: without arguments; they and their results are pickled.
-        processes: how many, as new interpreters.
-        name: of a process in the error, such as ``rooms: a process that made a room``.
+    After an error, or when no more results are wanted, tasks that have not begun are dropped. Processes are new
+    interpreters; tasks and results are pickled. In the error a process has the ``name``, such as ``rooms: a process
+    that made a room``.
 
     Raises:
         SceneError: a process was killed. Errors of tasks are raised as they are.

@@ -127,14 +127,8 @@ def make_rooms(
 ) -> Iterator[MadeRoom | SceneError]:
     """Make random rooms: the dump of each, and its description beside it.
 
-    Each process makes one room at a time; the views of a single room are rendered by all. The rooms do not depend on
-    the number of processes.
-
-    Args:
-        folder: the collection's.
-        wanted: kinds and seeds.
-        settings: how they are made.
-        workers: processes; all cores if left out. Each needs about 1 GB.
+    Each process makes one room at a time, and needs about 1 GB; the views of a single room are rendered by all. There
+    are so many ``workers``, or one for each core if they are left out; the rooms do not depend on their number.
 
     Yields:
         What was made; for a seed of which no attempt passed the checks, the error.

@@ -13,11 +13,8 @@ from dirl.sources.rooms.scenery import Scenery, interpolate, unit
 def bake(scenery: Scenery, *, direct: int = 36, indirect: int = 100, bounces: int = 4) -> Array:
     """Return the irradiance at each of the P points of a scenery, float32 ``[P, 3]``.
 
-    Args:
-        scenery: the room.
-        direct: rays from each point to each material that emits light.
-        indirect: rays from each point into the room, a square number; they serve all bounces.
-        bounces: of the light.
+    So many rays go ``direct`` from each point to each material that emits light, and ``indirect`` into the room, a
+    square number; these serve all bounces.
     """
     rng = np.random.default_rng(0)
     origins, normals = standpoints(scenery)

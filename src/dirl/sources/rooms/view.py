@@ -80,12 +80,8 @@ class Renderer:
     def panorama(self, height: float, pose: Pose, size: tuple[int, int]) -> Array:
         """Return all directions from a place as an equirectangular image, uint8 ``[height, width, 3]``.
 
-        Columns are degrees clockwise from the pose's heading, -180 to 180; rows are degrees up, 90 to -90.
-
-        Args:
-            height: of the camera above the floor, metres.
-            pose: where it stands, and what the middle of the image looks at.
-            size: height and width in pixels.
+        Columns are degrees clockwise from the pose's heading, -180 to 180; rows are degrees up, 90 to -90. The camera
+        is so many metres above the floor; ``size`` is the height and width of the image.
         """
         x, y, heading = pose
 

@@ -62,11 +62,9 @@ class Alignment:
 
 
 def align(tour: Tour, seen: Mapping[tuple[int, int], Seen] | None = None) -> Alignment:
-    """Return the headings that agree best with a tour's links.
+    """Return the headings that agree best with a tour's links, and with what pairs of its panoramas show.
 
-    Args:
-        tour: of P panoramas.
-        seen: what linked panoramas show, by their places in the tour; nothing if left out.
+    What they show is given by their places in the tour.
     """
     count = len(tour.panoramas)
     yaw = tour.yaws()

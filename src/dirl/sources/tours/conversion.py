@@ -70,11 +70,8 @@ def tour_scene(tour: Tour, *, headings: int = 8, name: str | None = None, compar
     Each link has a heading of its own, along which a move ahead leads, and a link both ways has opposite headings at
     its ends, so that a move back undoes a move ahead: see `follow_links`.
 
-    Args:
-        tour: see `dirl.sources.tours.read_tour`.
-        headings: of each panorama, a multiple of four.
-        name: of the scene; the tour's if left out.
-        compare_images: whether headings that links do not give, or contradict, come from what the panoramas show.
+    Each panorama has so many ``headings``, a multiple of four. With ``compare_images`` those that links do not give, or
+    contradict, come from what the panoramas show. The scene has the tour's name if none is given.
 
     Raises:
         SceneError: another number of headings, a tour without any link that a move could follow, or an image that

@@ -65,12 +65,9 @@ def columns(image: Equirectangular | Cube) -> Array:
 
 
 def compare(first: Array, second: Array, yaws: Sequence[float]) -> Seen:
-    """Return how much two panoramas are turned against each other.
+    """Return how much two panoramas, given by their `columns`, are turned against each other.
 
-    Args:
-        first: see `columns`.
-        second: likewise.
-        yaws: where the second may stand in the image of the first, degrees clockwise from its middle.
+    ``yaws`` are where the second may stand in the image of the first, degrees clockwise from its middle.
     """
     alike, alike_back = _alike(first, second), _alike(second, first)
 

@@ -54,10 +54,8 @@ KINDS = {
 def sample_room(kind: str, seed: int, *, look: bool = True) -> RoomDescription:
     """Return a random room that passes `check_room` and, in small views, `check_views`; kind and seed determine it.
 
-    Args:
-        kind: bathroom, bedroom, kitchen or living_room.
-        seed: any number from 0 on; every one gives another room.
-        look: check the views too, which takes some ten seconds an attempt; else only the furniture and the places.
+    A kind is bathroom, bedroom, kitchen or living_room, and every seed from 0 on gives another room. To ``look`` at the
+    views takes some ten seconds an attempt; else only the furniture and the places are checked.
 
     Raises:
         SceneError: there is no such kind, the seed is negative, or no attempt passed; the message says why the last
