@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from dirl.cli.start import new_file, run, start
-from dirl.config.schemas import option
+from dirl.config.schemas import FieldOfView, option
 
 
 @dataclass
@@ -26,7 +26,7 @@ class Options:
     every: Annotated[float, Interval(ge=0.02, le=60)] = option(
         "seconds between frames that are kept, whose views must overlap; of a folder all are kept", 1.0
     )
-    field_of_view: Annotated[float, Interval(ge=10, le=150)] | None = option(
+    field_of_view: FieldOfView | None = option(
         "of the camera from left to right, degrees; null = as the photos tell, else 65", None
     )
     points: str | None = option(

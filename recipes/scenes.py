@@ -22,10 +22,9 @@ from typing import Annotated
 from annotated_types import Ge, Interval
 
 from dirl.cli.start import check_writable, new_file, run, start
-from dirl.config.schemas import Correlation, Device, Fraction, Match, Positive, Seed, option
+from dirl.config.schemas import Correlation, Device, FieldOfView, Fraction, Match, Positive, Seed, option
 
 Pixels = Annotated[int, Interval(ge=16, le=4096)]
-FieldOfView = Annotated[float, Interval(ge=10, le=150)]
 Step = Annotated[float, Interval(ge=0.05, le=10)]
 Turn = Annotated[float, Interval(ge=1, le=360)]
 Headings = Annotated[int, Interval(ge=4, le=360)]

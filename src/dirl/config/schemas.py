@@ -58,6 +58,7 @@ Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
 Agents = Annotated[int, Interval(ge=1, le=10**6)]
 Episodes = Annotated[int, Interval(ge=1, le=10**7)]
 Frames = Annotated[int, Interval(ge=1, le=10**12)]
+FieldOfView = Annotated[float, Interval(ge=10, le=150)]
 
 
 Component = Any

@@ -5,7 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dirl.envs.transforms import VIEWS
-from dirl.perception.backbones.patches import FINE, FINE_KEPT, FinePatches
+from dirl.perception.backbones.patches import FINE, FinePatches
 
 PAIRS_AT_ONCE = 256
 """Visits whose fine patches are compared at a time: a hundred megabytes."""
@@ -98,6 +98,6 @@ class FinePairs(FinePatches):
     def describe(self, patches: Tensor) -> tuple[Tensor, Tensor]:
         """Return patches projected and as they are, each of length one, ``[..., 48, 96]`` to ``[..., 6, 8, W]``."""
         standard = self.dropout(self.standardised(patches))
-        parts = self.patch(standard), standard[..., :FINE_KEPT]
+        parts = self.patch(standard), standard[..., : self.kept]
         projected, kept = (F.normalize(part, dim=-1).unflatten(-2, FINE) for part in parts)
         return projected, kept

@@ -25,9 +25,6 @@ CELLS, FINE = (2, 4), (6, 8)
 PATCH_SHAPE, FINE_SHAPE = (CELLS[0] * CELLS[1], 96), (FINE[0] * FINE[1], 96)
 """Patches of a view, and channels of a patch; and those of fine patches."""
 
-FINE_KEPT, FINE_PROJECTED = 32, 32
-"""Channels of a fine patch that are compared as they are, and width of its learned projection."""
-
 PROJECTION = Path(__file__).parent / "data" / "patch_projection.pth"
 
 
@@ -83,12 +80,15 @@ def coarse(patches: Tensor) -> Tensor:
 class FinePatches(nn.Module):
     """What compares fine patches: it standardises them by those of training rooms, and has a projection of each."""
 
+    kept, projected = 32, 32
+    """Channels of a patch that are compared as they are, and width of its projection."""
+
     def __init__(self, dropout: float) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(FINE_SHAPE[1]))
         self.register_buffer("std", torch.ones(FINE_SHAPE[1]))
         self.dropout = nn.Dropout(dropout)
-        self.patch = nn.Linear(FINE_SHAPE[1], FINE_PROJECTED, bias=False)
+        self.patch = nn.Linear(FINE_SHAPE[1], self.projected, bias=False)
 
     mean: Tensor
     std: Tensor

@@ -8,15 +8,7 @@ import torch.nn.functional as F
 from annotated_types import Interval
 from torch import Tensor, nn
 
-from dirl.perception.backbones.patches import (
-    FINE,
-    FINE_KEPT,
-    FINE_PROJECTED,
-    PATCH_SHAPE,
-    FinePatches,
-    are_fine,
-    coarse,
-)
+from dirl.perception.backbones.patches import FINE, PATCH_SHAPE, FinePatches, are_fine, coarse
 from dirl.perception.backbones.principal import principal_components
 from dirl.perception.recognition.recogniser import Thresholds
 from dirl.scenes.io.files import read_weights
@@ -240,7 +232,7 @@ class PhotoOdds(FinePatches):
     def describe(self, patches: Tensor) -> Tensor:
         """Return two vectors of length one a cell, float ``[..., cells, 96]`` to float32 ``[..., cells * 64]``."""
         standard = self.standardised(patches)
-        parts = self.patch(self.dropout(standard)), standard[..., :FINE_KEPT]
+        parts = self.patch(self.dropout(standard)), standard[..., : self.kept]
         return torch.cat([F.normalize(part, dim=-1) for part in parts], -1).flatten(-2)
 
     def scores(self, seen: Tensor, photos: Tensor) -> Tensor:
@@ -248,12 +240,12 @@ class PhotoOdds(FinePatches):
 
         They are minus infinity where the view ahead shows nothing, as of a camera that is covered or dead.
         """
-        ahead = seen[..., 0, :].unflatten(-1, (*FINE, -1))[..., FINE_PROJECTED:]
+        ahead = seen[..., 0, :].unflatten(-1, (*FINE, -1))[..., self.projected :]
         ahead = ahead[..., 1:-1, 1:-1, :]  # at its edges patches differ
         blank = ahead.mean((-3, -2)).norm(dim=-1) > BLANK
         around, photos = self._windows(seen), photos.unflatten(-1, (FINE[0] * FINE[1], -1))
         cosines = []
-        for part in (slice(FINE_PROJECTED), slice(FINE_PROJECTED, None)):
+        for part in (slice(self.projected), slice(self.projected, None)):
             cosines.append(torch.einsum("...aocw,...bcw->...aboc", around[..., part], photos[..., part]))
         compared = SCALE * torch.cat(cosines, -2)
         slope, intercept = self.calibration
