@@ -179,25 +179,19 @@ def test_views_that_cannot_be_encoded_name_the_state():
     refused(f"^here: state {state}: its features are not finite", encode_all, spoilt, views, 36, "here")
 
 
-def test_kept_features_are_used_only_if_they_are_of_this_encoder(tmp_path, monkeypatch):
-    views = [webp(np.full((30, 40, 3), 9 * state, np.uint8)) for state in range(8)]
-    write_dump(tmp_path / "room.h5", grid_scene(2, 1), views)
-    scene, extractor = read_dump(tmp_path / "room.h5"), load_encoder("resnet50_small").extractor
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = encoded_as(scene, extractor, patches=False)
-    (kept,) = (tmp_path / "dirl").iterdir()
-    monkeypatch.setattr(registry, "encode_all", lambda *_: pytest.fail("is not kept"))
-    assert np.array_equal(encoded_as(scene, extractor, patches=False).features, first.features)
-    write_dump(kept, replace(first, views=None), feature_attributes={"extractor": "another"})
-    with pytest.raises(pytest.fail.Exception, match="is not kept"):
-        encoded_as(scene, extractor, patches=False)
-
-
-def test_wide_views_are_reduced_before_they_are_encoded_but_not_in_tours(tmp_path, monkeypatch):
+def test_features_are_kept_for_this_encoder_and_wide_views_reduced_first_but_not_in_tours(tmp_path, monkeypatch):
     sharp = np.random.default_rng(0).integers(0, 256, (8, 60, 80, 3), np.uint8)
     write_dump(tmp_path / "room.h5", grid_scene(2, 1), [webp(view) for view in sharp])
     scene, extractor = read_dump(tmp_path / "room.h5"), load_encoder("resnet50_small").extractor
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = encoded_as(scene, extractor, patches=False)
+    (kept,) = (tmp_path / "dirl").iterdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(registry, "encode_all", lambda *_: pytest.fail("is not kept"))
+        assert np.array_equal(encoded_as(scene, extractor, patches=False).features, first.features)
+        write_dump(kept, replace(first, views=None), feature_attributes={"extractor": "another"})
+        with pytest.raises(pytest.fail.Exception, match="is not kept"):
+            encoded_as(scene, extractor, patches=False)
     seen = [encoded_as(scene, extractor, patches=False, pixels=pixels) for pixels in (None, 80, 40)]
     assert np.array_equal(seen[0].features, seen[1].features)
     small = reduced(torch.from_numpy(np.stack([scene.views[state] for state in range(8)])), 40)
