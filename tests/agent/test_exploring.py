@@ -7,7 +7,7 @@ from elsewhere import DEVICE, device_elsewhere
 from odds import Odds
 from refusals import refused
 from rooms import grid_scene
-from shown_goals import images_of, look_up, rooms, trained, walk_through, walk_to_goal
+from shown_goals import images_of, look_up, rooms, trained, walk_through, walk_until_stop
 
 from dirl import Navigator
 from dirl.agent.mapping import ImageGraph, load_graph
@@ -38,8 +38,9 @@ def explorer(navigator, world):
 
 
 def goes_straight(navigator, world, start, goal, around=None):
-    """Whether a navigator gets to its goal on a shortest way."""
-    passed = walk_to_goal(navigator, world, start, around)
+    """Whether a navigator that sees what surrounds it, or more, gets to its goal on a shortest way."""
+    around = world.surrounding if around is None else around
+    passed, _ = walk_until_stop(lambda at: navigator.act(images_of(around[at])), world, start, 30)
     return passed[-1] == goal and len(passed) - 1 == world.scenes[0].distances[start, goal]
 
 
@@ -75,7 +76,7 @@ def test_an_image_graph_is_made_and_used_by_the_navigators_recogniser(world, nav
     assert len(walk.graph) == len(world)
     folder, seen = walk.save(tmp_path / "map"), images_of(world.surrounding[13])
     sure.reset(seen, graph=folder, last_steps=0)
-    assert walk_to_goal(sure, world, 18)[-1] == 13
+    assert goes_straight(sure, world, 18, 13)
     for graph in (folder, walk.graph):
         refused("was made with another recogniser: 'odds", navigator.reset, seen, graph=graph)
 

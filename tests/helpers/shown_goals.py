@@ -54,12 +54,6 @@ def walk_until_stop(act, world, state, most):
     return walked, stopped
 
 
-def walk_to_goal(navigator, world, start, around=None):
-    """The states that a navigator passes which sees what surrounds it, or more."""
-    around = world.surrounding if around is None else around
-    return walk_until_stop(lambda at: navigator.act(images_of(around[at])), world, start, 30)[0]
-
-
 def trained(folder, world, *options):
     """The folder of a finished run with a policy that walks some way; that policy, and what it observes."""
     config = train_config("seed=1", "encoder.width=24", "heads.width=24", *options)
