@@ -108,11 +108,12 @@ def test_a_training_that_diverges_ends_in_one_line(tmp_path):
 
 
 def test_after_dagger_a_reinforcement_tells_its_own_frames_and_walks_to_all_goals_though_few_are_evaluated(tmp_path):
-    options = ["goals=all", "evaluation.goals=2", "imitation.rounds=1", "imitation.max_steps=3"]
-    run, components = begun(tmp_path, *options, "reinforcement.frames_per_scene=60")
+    options = ["goals=all", "evaluation.goals=2", "reinforcement.frames_per_scene=60"]
+    options += ["imitation.rounds=1", "imitation.max_steps=3", "imitation.sampled=true"]
+    run, components = begun(tmp_path, *options)
     walked = components.state.env.base_env.world.goals
     assert (len(walked), len(components.protocol.world.goals)) == (len(components.world), 2)
     (labelled, _) = next(dagger_rounds(run, components, components.demos))
-    assert len(labelled["goal"].unique()) > 2
+    assert len(labelled.visited["goal"].unique()) > 2
     assert train(run, components)["frames"] == components.state.frames == 60
     assert (run.folder / "dagger.csv").read_text().splitlines()[1].split(",")[:2] == ["1", "120"]

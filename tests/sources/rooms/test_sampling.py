@@ -30,13 +30,12 @@ def test_seeds_fix_the_split_and_training_and_test_rooms_have_nothing_of_the_rep
     assert list(found.values()) == [None, None, "test", "test", "validation", "validation", "train", "train"]
     assert [repertoire_of(seed) for seed in (5, 10_005, 20_005, 30_005)] == [EVERYTHING, TEST, TRAIN, TRAIN]
     for part in (*HELD_OUT, "seeds"):
-        whole, train, test = (getattr(one, part) for one in (EVERYTHING, TRAIN, TEST))
-        if part == "seeds":
-            whole, train, test = range(*whole), range(*train), range(*test)
-        assert set(train), part
-        assert set(test), part
-        assert set(train) & set(test) == set(), part
-        assert set(train) | set(test) == set(whole), part
+        held = (getattr(one, part) for one in (EVERYTHING, TRAIN, TEST))
+        whole, train, test = (set(range(*one) if part == "seeds" else one) for one in held)
+        assert train, part
+        assert test, part
+        assert not train & test, part
+        assert train | test == whole, part
 
 
 def test_rooms_keep_to_the_repertoire_of_their_split():
