@@ -111,6 +111,15 @@ def test_memory_and_recogniser_of_a_navigator_can_be_chosen(run, tmp_path, world
     assert (type(navigator.recogniser), navigator.memory) == (NCC, None)
 
 
+def test_a_photo_stops_above_a_threshold_of_its_own(run, world):
+    navigator = load(run, world, episodic_memory="planning")
+    navigator.recogniser.thresholds = Thresholds(0.9, 0.95, 0.95)
+    for goal, threshold in ((0, 0.95), (world.surrounding[0], 0.9)):
+        navigator.reset(images_of(goal))
+        navigator.act(images_of(world.surrounding[5]))
+        assert navigator._seen.threshold == threshold
+
+
 def test_moves_that_are_possible_are_told_facing_each_view(run, world):
     navigator, views = load(run, world), images_of(world.surrounding[0])
     navigator.reset(images_of(world.surrounding[3]))
@@ -162,29 +171,6 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
     assert navigator.act(images_of(around[3])).scores.matching != pytest.approx(decision.scores.matching)
 
 
-def test_a_batch_with_a_memory_decides_as_each_alone(tmp_path, world, monkeypatch):
-    """Also where some agents are at new places and others at known ones, each with a goal of its own."""
-    recogniser = NCC()
-    recogniser.thresholds = Thresholds(0.9, 0.95, 0.95)
-    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: recogniser)
-    trained(tmp_path, world, "episodic_memory=planning")
-    together, goals, states = load(tmp_path, world), [0, 13, 21], torch.tensor([5, 6, 7])
-    alone = [load(tmp_path, world) for _ in goals]
-    together.reset(images_of(world.surrounding[goals]))
-    for navigator, goal in zip(alone, goals, strict=True):
-        navigator.reset(images_of(world.surrounding[goal]))
-    for _ in range(12):
-        decided = together.act(images_of(world.surrounding[states]))
-        each = [one.act(images_of(world.surrounding[state])) for one, state in zip(alone, states, strict=True)]
-        assert decided.action.tolist() == [one.action for one in each]
-        assert decided.stop.tolist() == [one.stop for one in each]
-        states = world.graph[states, decided.action]
-    for goal, threshold in ((0, 0.95), (world.surrounding[0], 0.9)):  # a photo stops above its own
-        alone[0].reset(images_of(goal))
-        alone[0].act(images_of(world.surrounding[5]))
-        assert alone[0]._seen.threshold == threshold
-
-
 def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, capsys):
     navigator = load(run, world, episodic_memory="planning")
     strange = iter(torch.randn(400, 16, generator=torch.Generator().manual_seed(0)))
@@ -204,24 +190,29 @@ def navigator(run, world):
     return load(run, world)
 
 
-@pytest.mark.parametrize("observation", ["surrounding", "sequential"])
-def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, observation):
-    world = rooms()
-    _, seen = trained(tmp_path, world, f"observation={observation}")
-    see = (lambda states: images_of(seen.reset_view_ids(states))) if observation == "surrounding" else images_of
-    batch, alone = load(tmp_path, world), load(tmp_path, world)
-    goals, walks = torch.tensor([0, 13, 0]), torch.tensor([[5, 6, 7, 8], [14, 13, 12, 1], [2, 1, 0, 3]])
-    batch.reset(torch.from_numpy(see(goals).copy()))
-    together = [batch.act(torch.from_numpy(see(walks[:, time]).copy())) for time in range(4)]
-    for agent in range(3):
-        alone.reset(see(goals[agent]))
-        for time, both in enumerate(together):
-            action, stop, scores = alone.act(see(walks[agent, time]))
+@pytest.mark.parametrize("options", ["observation=surrounding", "observation=sequential", "episodic_memory=planning"])
+def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, world, monkeypatch, options):
+    """Each with a goal of its own; with a memory also where some agents are at new places and others at known ones."""
+    recogniser = NCC()
+    recogniser.thresholds = Thresholds(0.9, 0.95, 0.95)
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: recogniser)
+    trained(tmp_path, world, options)
+    around = torch.arange(len(world)) if options == "observation=sequential" else world.surrounding
+    together, goals, states = load(tmp_path, world), [0, 13, 21], torch.tensor([5, 13, 7])
+    alone = [load(tmp_path, world) for _ in goals]
+    together.reset(torch.from_numpy(images_of(around[goals]).copy()))
+    for navigator, goal in zip(alone, goals, strict=True):
+        navigator.reset(images_of(around[goal]))
+    for step in range(12):
+        both = together.act(torch.from_numpy(images_of(around[states]).copy()))
+        for agent, navigator in enumerate(alone):
+            action, stop, scores = navigator.act(images_of(around[states[agent]]))
             assert (type(action), type(stop), type(scores.matching)) == (Action, bool, float)
             assert (action, stop) == (both.action[agent].item(), both.stop[agent].item())
             assert scores.matching == pytest.approx(both.scores.matching[agent].item(), abs=1e-6)
             torch.testing.assert_close(scores.probabilities, both.scores.probabilities[agent])
-    assert together[1].stop.tolist() == [False, True, False]
+        assert step or both.stop.tolist() == [False, True, False]
+        states = world.graph[states, both.action]
 
 
 def test_sampled_actions_come_as_often_as_their_probability_says(world, navigator):
