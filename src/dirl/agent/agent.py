@@ -31,8 +31,9 @@ TRUST = 0.5
 """Factor of the policy's logits where a memory plans: in places unlike its training rooms it is too sure of itself; in
 rooms this makes hardly a difference. See docs/decisions.md."""
 
-SAVED = 5.0
-"""Actions that a unit of `likeness` to the goal is worth on the way along an arrow; see docs/decisions.md."""
+SAVED, CLEAR = 5.0, 5.0
+"""Actions that a unit of `likeness` to the goal is worth on the way along an arrow, and that one is worth besides which
+clearly leads there; see docs/decisions.md."""
 
 LONGEST, UNUSUAL = 4, -4.0
 """Cells of the network that locates goals that a move may be long, and the log prior of more than one."""
@@ -111,6 +112,9 @@ class Observed(Protocol):
     @property
     def points(self) -> Tensor | None:
         """Log odds by matched points that a photo was taken here, facing each view, ``[B, K]``; else None."""
+
+    def confirmed(self, odds: Tensor) -> Tensor:
+        """Return the log odds that the goal is seen, ``[B, K]``, corrected where points of its four views can tell."""
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits, ``[B, T, K, ...]``, see the goal facing each view; float32 ``[B, T, K]``.
@@ -259,7 +263,7 @@ class Localising(Remembering):
         super().__init__(memory, guide)
         self.turns, self.known = turns, known
         self.shown = torch.empty(0)
-        """Log odds that the goal is seen facing each view of this visit, before anything is added, ``[B, K]``."""
+        """Log odds that the goal is seen facing each view of this visit, by recogniser and points, ``[B, K]``."""
         self.belief: GoalBelief | None = None
         """Where the goals are; None where nobody tells, and with a map, which tells it."""
         self.before: Tensor | None = None
@@ -283,12 +287,12 @@ class Localising(Remembering):
         alike = self.remember(now)
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] if now.points is None else now.points
-        self.shown = odds
         if now.visit.shape[1] > VIEWS and self.known is None:  # a panorama
             doubt = self.doubt(alike)
             alike = alike - doubt[:, None, None]
             if not now.photo:  # it may be of another day, so half as much, and not without a bound
                 odds = odds - (doubt / 2).clamp(max=MOST)[:, None]
+        self.shown = odds = now.confirmed(odds)
         alone = self.known is not None or self.memory.exact  # views that return bit for bit tell the place better
         if not alone and (place := now.place_odds()) is not None:
             # The recogniser tells the heading, and the network that locates the goal which place this is.
@@ -415,7 +419,7 @@ def arrow_costs(along: Tensor, arrows: Tensor, toward: Tensor | None = None) -> 
     cost = along.new_ones(*along.shape, len(ACTIONS))
     further = SAVED * (1 - along)
     if toward is not None:
-        further = further * (1 - toward)
+        further = (further + CLEAR) * (1 - toward)
     cost[..., AHEAD] += further
     cost[..., BACK] += further.roll(-along.shape[1] // 2, 1)  # along the view behind
     return cost.masked_fill(~arrows, math.inf)

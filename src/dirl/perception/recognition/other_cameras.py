@@ -47,6 +47,9 @@ length is known, and where it is not."""
 WEIGHT, LEAST = 12.0, -6.0
 """Log odds are ``WEIGHT * log(share / even)``, at least `LEAST`; chosen on real tours, see docs/decisions.md."""
 
+EVEN_OF_FOUR, POSSIBLE = 0.5, -7.0
+"""Even share of the points of four views, in the mean, and the log odds above which a place is worth comparing them."""
+
 
 class PhotoPoints:
     """The points of one photo, found by XFeat (``pip install 'dirl[match]'``).
@@ -79,16 +82,18 @@ class PhotoPoints:
         turns = len(views)
         odds = torch.full((turns,), LEAST)
         for view in likeness.topk(LIKELY).indices.tolist():
-            share, yaw = self._agree(views[view])
+            share, yaw = self.agree(*view_points(views[view]))
             facing = (view + round(yaw / (360 / turns))) % turns
             if share:
                 odds[facing] = max(float(odds[facing]), WEIGHT * math.log(share / self.even))
         return odds
 
-    def _agree(self, view: NDArray[np.uint8]) -> tuple[float, float]:
-        """Return the share of points that agree on a rotation, and how far right of the middle the photo's is."""
-        there, vectors = _points(_resized(view, VIEW / view.shape[1]), VIEW)
-        if not len(there):
+    def agree(self, directions: Tensor, vectors: Tensor) -> tuple[float, float]:
+        """Return the share of a view's points that agree on a rotation, and how far right of its middle the photo's is.
+
+        The points are those that `view_points` finds.
+        """
+        if not len(directions):
             return 0.0, 0.0
         alike = self.vectors @ vectors.T
         first, second = mutual(alike, ALIKE)
@@ -96,7 +101,7 @@ class PhotoPoints:
             return 0.0, 0.0
         fewest, most = MATCHES
         clearest = alike[first, second].topk(min(most, len(first))).indices
-        seen = angles(there[second[clearest]] * VIEW / FOCAL)
+        seen = directions[second[clearest]]
         best = 0.0, 0.0
         for focal in self.focals:
             turned = seen - angles(self.places[first[clearest]] / focal)
@@ -105,6 +110,64 @@ class PhotoPoints:
             if count > best[0]:
                 best = float(count), float(torch.rad2deg(turned[together[middle], 0].mean()))
         return best[0] / max(fewest, len(clearest)), best[1]
+
+
+class Panorama:
+    """K views around a camera, clockwise, RGB, uint8 ``[K, H, W, 3]``, whose points are found once, when asked for."""
+
+    def __init__(self, views: NDArray[np.uint8]) -> None:
+        self.views = views
+        self._found: dict[int, tuple[Tensor, Tensor]] = {}
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def points(self, view: int) -> tuple[Tensor, Tensor]:
+        """Return `view_points` of the view with this number; beyond the last one follows the first."""
+        view %= len(self)
+        if view not in self._found:
+            self._found[view] = view_points(self.views[view])
+        return self._found[view]
+
+
+class GoalPoints:
+    """The points of four views of a goal, as `PhotoPoints` has those of one photo.
+
+    Args:
+        views: clockwise, by 90 degrees, RGB, uint8 ``[4, H, W, 3]``.
+    """
+
+    def __init__(self, views: NDArray[np.uint8]) -> None:
+        self.photos = [PhotoPoints(view, FIELD_OF_VIEW) for view in views]
+
+    def confirmed(self, odds: Tensor, seen: Panorama) -> Tensor:
+        """Return log odds that the goal is seen facing each view, float32 ``[K]``: by points where they are highest.
+
+        Where even these are low, or the goal's views are blank, they are returned as they are.
+        """
+        quarter, view = len(seen) // len(self.photos), int(odds.argmax())
+        agreeing = [
+            photo.agree(*seen.points(view + quarter * number))
+            for number, photo in enumerate(self.photos)
+            if photo.enough and odds[view] > POSSIBLE
+        ]
+        if not agreeing:
+            return odds
+        share, yaw = torch.tensor(agreeing).mean(0).tolist()
+        told = odds.clone()
+        told[view] = LEAST
+        facing = (view + round(yaw * len(seen) / 360)) % len(seen)
+        told[facing] = max(LEAST, WEIGHT * math.log(max(share, 0.01) / EVEN_OF_FOUR))
+        return told
+
+
+def view_points(view: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
+    """Return azimuths and elevations of the points of a level view, radians, ``[P, 2]``, and their vectors, ``[P, C]``.
+
+    The view, RGB, uint8 ``[H, W, 3]``, is `FIELD_OF_VIEW` degrees wide.
+    """
+    places, vectors = _points(_resized(view, VIEW / view.shape[1]), VIEW)
+    return angles(places * VIEW / FOCAL), vectors
 
 
 def _points(picture: NDArray[np.uint8], unit: float) -> tuple[Tensor, Tensor]:
