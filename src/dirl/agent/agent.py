@@ -32,8 +32,7 @@ TRUST = 0.5
 rooms this makes hardly a difference. See docs/decisions.md."""
 
 SAVED, CLEAR = 5.0, 5.0
-"""Actions that a unit of `likeness` to the goal is worth on the way along an arrow, and that one is worth besides which
-clearly leads there; see docs/decisions.md."""
+"""Actions that a unit of `likeness` to the goal is worth along an arrow, and that one which clearly leads there is."""
 
 LONGEST, UNUSUAL = 4, -4.0
 """Cells of the network that locates goals that a move may be long, and the log prior of more than one."""

@@ -227,10 +227,10 @@ class Views:
         self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
         self.points: Tensor | None = None
         """See `dirl.agent.agent.Observed`; the navigator matches them."""
+        # Of a single agent with a goal of four views, by matched points: how clearly each arrow leads there, [K], and
+        # the log odds that it is here, [K], corrected.
         self.bearing: Callable[[], Tensor] | None = None
-        """Tells how clearly each arrow leads to a goal of four views, ``[K]``, by points; of a single agent."""
         self.confirm: Callable[[Tensor], Tensor] | None = None
-        """Corrects log odds that it is here, ``[K]``, by points; likewise."""
         self.arrows = None if possible is None else possible.expand(*features.shape[:2], -1)
 
     @cached_property
