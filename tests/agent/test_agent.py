@@ -61,6 +61,7 @@ def test_what_looks_the_same_after_turns_has_to_look_as_much_the_same_later(acti
                 visit=torch.zeros(1, 8, 1),
                 alike=lambda seen: torch.full((1, len(faced), 8), -9.0).scatter(2, ahead[None, :, None], nats),
                 goal_odds=lambda visits, _: torch.zeros(1, visits.shape[1], 8),
+                confirmed=lambda odds: odds + 2,
                 place_odds=lambda: None,
                 displacement=lambda *_: None,
                 inputs=None,
@@ -83,7 +84,7 @@ def test_what_looks_the_same_after_turns_has_to_look_as_much_the_same_later(acti
     see(faced[-1], -9.0)
     see(faced[-1], 8.0)
     assert agent.past.used.view(-1, 8).any(1).sum() == places
-    assert torch.allclose(agent.past.goal[0, -1], torch.tensor(0.0 if photo else goal), atol=0.01)
+    assert torch.allclose(agent.past.goal[0, -1], torch.tensor(2.0 if photo else goal + 2), atol=0.01)
 
 
 def test_a_policy_is_trusted_half_where_a_memory_plans():

@@ -108,6 +108,7 @@ def test_which_place_it_is_the_locator_tells_and_which_heading_the_recogniser(ex
         arrows=None,
         points=None,
         goal_odds=lambda *_: torch.tensor([[[4.0, 2.0, -1.0, -math.inf]]]),
+        confirmed=lambda odds: odds,
         place_odds=lambda: torch.tensor([2.0]),
         displacement=lambda *_: None,
         facing=lambda chosen: torch.zeros(1, 4, 4),

@@ -286,12 +286,12 @@ class Localising(Remembering):
         alike = self.remember(now)
         assert self.seen is not None
         odds = now.goal_odds(now.visit[:, None], self.seen)[:, 0] if now.points is None else now.points
+        self.shown = odds = now.confirmed(odds)
         if now.visit.shape[1] > VIEWS and self.known is None:  # a panorama
             doubt = self.doubt(alike)
             alike = alike - doubt[:, None, None]
             if not now.photo:  # it may be of another day, so half as much, and not without a bound
                 odds = odds - (doubt / 2).clamp(max=MOST)[:, None]
-        self.shown = odds = now.confirmed(odds)
         alone = self.known is not None or self.memory.exact  # views that return bit for bit tell the place better
         if not alone and (place := now.place_odds()) is not None:
             # The recogniser tells the heading, and the network that locates the goal which place this is.
