@@ -48,8 +48,8 @@ WEIGHT, LEAST = 12.0, -6.0
 """Log odds are ``WEIGHT * log(share / even)``, at least `LEAST`; chosen on real tours, see docs/decisions.md."""
 
 EVEN_OF_FOUR, POSSIBLE = 0.4, -7.0
-"""Even share of the points of four views, in the mean, where places change much (else `Localising.doubt` is taken off the
-log odds), and the log odds of a recogniser above which the points are compared."""
+"""Even share of the points of four views, in the mean, where places change much (else `Localising.doubt` is taken off
+its log odds), and the log odds of a recogniser above which the points are compared."""
 
 
 class PhotoPoints:
