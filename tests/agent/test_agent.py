@@ -117,6 +117,8 @@ def test_a_move_along_an_arrow_costs_less_where_the_goal_is_likely_forwards_and_
     assert cost[1, 0] == cost[3, 3] < cost[0, 0]
     assert (cost[:, 1:3] == 1).all()
     assert cost[2, [0, 3]].isinf().all()
+    points = arrow_costs(torch.ones(1, 4), arrows, torch.tensor([[0.0, 1, 0, 0]]))[0]
+    assert points[1, 0] == points[3, 3] < points[0, 0] - 4, "what points tell counts beside likeness"
 
 
 def test_a_place_counts_once_however_long_the_agent_stays_there():

@@ -239,7 +239,7 @@ class Navigator:
         Args:
             images: the agent's present views, in the form that `reset` takes. With ``episodic_memory=planning`` or
                 ``localising`` also those of a panorama, one for each of the navigator's ``turns``, clockwise from the
-                one ahead.
+                one ahead; where points are matched they count as 75 degrees wide.
             possible: which actions are possible facing each of these views, as a tour's arrows tell, bool ``[K, 4]`` or
                 ``[B, K, 4]``. If left out, the agent finds out by trying.
             sample: draw the action by its probability instead of taking the most probable one.
