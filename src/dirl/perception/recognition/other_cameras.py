@@ -84,9 +84,8 @@ class PhotoPoints:
         odds = torch.full((turns,), LEAST)
         for view in likeness.topk(LIKELY).indices.tolist():
             share, yaw = self.agree(*view_points(views[view]))
-            facing = (view + round(yaw / (360 / turns))) % turns
-            if share:
-                odds[facing] = max(float(odds[facing]), WEIGHT * math.log(share / self.even))
+            facing = (view + round(yaw * turns / 360)) % turns
+            odds[facing] = max(float(odds[facing]), _log_odds(share, self.even))
         return odds
 
     def agree(self, directions: Tensor, vectors: Tensor) -> tuple[float, float]:
@@ -146,19 +145,18 @@ class GoalPoints:
 
         Where even these are low, or the goal's views are blank, they are returned as they are.
         """
-        quarter, view = len(seen) // len(self.photos), int(odds.argmax())
-        agreeing = [
-            photo.agree(*seen.points(view + quarter * number))
-            for number, photo in enumerate(self.photos)
-            if photo.enough and odds[view] > POSSIBLE
-        ]
-        if not agreeing:
+        turns, view = len(seen), int(odds.argmax())
+        if odds[view] <= POSSIBLE or not any(photo.enough for photo in self.photos):
             return odds
+        agreeing = [
+            photo.agree(*seen.points(view + turns // len(self.photos) * number))
+            for number, photo in enumerate(self.photos)
+            if photo.enough
+        ]
         share, yaw = torch.tensor(agreeing).mean(0).tolist()
         told = odds.clone()
         told[view] = LEAST
-        facing = (view + round(yaw * len(seen) / 360)) % len(seen)
-        told[facing] = max(LEAST, WEIGHT * math.log(max(share, 0.01) / EVEN_OF_FOUR))
+        told[(view + round(yaw * turns / 360)) % turns] = _log_odds(share, EVEN_OF_FOUR)
         return told
 
 
@@ -169,6 +167,10 @@ def view_points(view: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
     """
     places, vectors = _points(_resized(view, VIEW / view.shape[1]), VIEW)
     return angles(places * VIEW / FOCAL), vectors
+
+
+def _log_odds(share: float, even: float) -> float:
+    return max(LEAST, WEIGHT * math.log(share / even)) if share else LEAST
 
 
 def _points(picture: NDArray[np.uint8], unit: float) -> tuple[Tensor, Tensor]:
