@@ -215,7 +215,7 @@ class Navigator:
                     guide = GraphGuide(walked, goal.described[0], last_steps)
             panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
             photo, four = None, None
-            if self.points and panoramas and len(pixels) == count == VIEWS:
+            if self.points and panoramas and known is None and len(pixels) == count == VIEWS:  # a map holds no points
                 around = pixels.cpu().numpy()
                 four = GoalBearing(Panorama(around)), GoalPoints(around)
             if self.points and panoramas and len(pixels) == 1:
