@@ -3,7 +3,7 @@
 import io
 import os
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -132,6 +132,14 @@ def test_a_video_that_is_cut_off_texts_and_lists_of_other_files_are_refused(tmp_
     refused("is no video that is read", Recording, file)
     file.write_bytes(whole[:1000] + bytes(200) + whole[1200:])
     refused("is damaged after", lambda: list(Recording(file)))
+
+
+@pytest.mark.usefixtures("here")
+def test_what_threads_of_ffmpeg_say_of_damage_at_once_is_one_line(tmp_path, monkeypatch):
+    file = make_video(tmp_path / "walk.mp4", [0, 1])
+    said = [(16, "h264", "no frame!\nerror while decoding\n")]
+    monkeypatch.setattr("av.logging.Capture", lambda **_: nullcontext(said))
+    refused(r"is damaged after 2 frames \(no frame! error while decoding\)", lambda: list(Recording(file)))
 
 
 @pytest.mark.usefixtures("here")

@@ -220,7 +220,8 @@ def _video_frames(source: Path, every: float) -> Iterator[Frame]:
         except av.FFmpegError as error:
             damages.append((av.logging.ERROR, "", str(error.strerror)))
         if damages:
-            raise SceneError(f"is damaged after {kept} frames ({damages[0][2].strip()[:120]})")
+            reason = " ".join(damages[0][2].split())[:120]  # threads may speak at once, in several lines
+            raise SceneError(f"is damaged after {kept} frames ({reason})")
 
 
 def _bag_frames(source: Path, every: float, topic: str | None, odometry_topic: str | None) -> Iterator[Frame]:
