@@ -192,7 +192,7 @@ def deleted_folder(bench):
 
 def early(bench, times, rng):
     """SIGKILL within a second of a program with processes of its own: nothing of it stays, and the same works then."""
-    programs = {"train": [f"scene={bench.scene}", *SHORT, "system=a3c"], "scenes": ROOMS.split()}
+    programs = {"train": [f"scene={bench.scene}", *SHORT, "system=a3c"], "scenes": ROOMS.split()} if times else {}
     for name, words in programs.items():
         folder = bench.new_folder()
         folder.mkdir()
