@@ -7,6 +7,7 @@ import os
 
 import pytest
 import torch
+import wandb
 from commands import train_config, wait_until
 from PIL import Image
 from refusals import refused
@@ -206,6 +207,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("WANDB_MODE", "WANDB_API_KEY", "WANDB_RUN_ID"):
         monkeypatch.delenv(name, raising=False)
+    wandb.teardown()  # it keeps what the environment of an earlier test said
     monkeypatch.chdir(tmp_path)
     run = tmp_path / "dirl_bathroom_02" / "run"
     run.mkdir(parents=True)
