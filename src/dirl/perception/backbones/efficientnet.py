@@ -78,8 +78,8 @@ class Block(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Transform a map, ``[B, in, H, W]``, to ``[B, out, H / stride, W / stride]``."""
-        wide = x if self.expand is None else F.relu6(self.expand(x))
-        out: Tensor = self.project(F.relu6(self.depthwise(wide)))
+        wide = x if self.expand is None else F.relu6(self.expand(x), inplace=True)
+        out: Tensor = self.project(F.relu6(self.depthwise(wide), inplace=True))
         return out + x if out.shape == x.shape else out
 
 
@@ -96,11 +96,11 @@ class EfficientNetLite0(nn.Module):
 
     def inner_stage(self, images: Tensor) -> Tensor:
         """Return the fifth stage's map, ``[B, 112, H / 16, W / 16]``, of normalised images, ``[B, 3, H, W]``."""
-        return self.first(F.relu6(self.stem(images)))
+        return self.first(F.relu6(self.stem(images), inplace=True))
 
     def pool(self, inner_stage: Tensor) -> Tensor:
         """Return features, ``[B, 1280]``, of the fifth stage's map."""
-        return F.relu6(self.head(self.last(inner_stage))).mean((2, 3))
+        return F.relu6(self.head(self.last(inner_stage)), inplace=True).mean((2, 3))
 
 
 def lite0_weights() -> dict[str, Tensor]:
