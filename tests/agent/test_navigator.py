@@ -147,13 +147,14 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
         def __init__(self, photo, field_of_view):
             assert (photo.ndim, field_of_view) == (3, pytest.approx(50, abs=1))
 
-        def log_odds(self, views, likeness):
-            assert (len(views), likeness.argmax()) == (8, 0)  # the photo is of the view ahead
+        def log_odds(self, seen, likeness):
+            assert (len(seen), seen.field_of_view, likeness.argmax()) == (8, 90, 0)  # the photo is of the view ahead
             return torch.full((8,), -12.0).index_fill(0, torch.tensor(0), odds)
 
     world = make_world([grid_scene(2, 2, headings=8, goals=(3,))])
     monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
     monkeypatch.setattr("dirl.agent.navigator.PhotoPoints", Points)
+    monkeypatch.setattr("dirl.agent.navigator.angle_of_views", lambda views: 90.0)
     trained(tmp_path, world, FRONT, "episodic_memory=localising")
     navigator, around = load(tmp_path, world, turns=8), world.panoramas()
     navigator.points = True  # as where XFeat is installed
@@ -173,7 +174,7 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
 def test_points_of_four_views_tell_which_arrow_leads_to_the_goal_and_where_it_is(view, action, tmp_path, monkeypatch):
     class Bearing:
         def __init__(self, views):
-            assert len(views) == 4
+            assert (len(views), views.field_of_view) == (4, next(angles))
 
         def clear(self, views):
             return torch.eye(len(views))[view]
@@ -182,18 +183,19 @@ def test_points_of_four_views_tell_which_arrow_leads_to_the_goal_and_where_it_is
         def confirmed(self, odds, seen):
             return odds - told * (odds.shape[0] == len(seen))
 
-    told = 0.0
+    told, angles = 0.0, iter([75, 75, 90, 90])
     world = make_world([grid_scene(3, 3, headings=8, goals=(3,))])
     monkeypatch.setattr("dirl.agent.loading.build_recogniser", lambda *_: Odds())
     monkeypatch.setattr("dirl.agent.navigator.GoalBearing", Bearing)
     monkeypatch.setattr("dirl.agent.navigator.GoalPoints", Points)
+    monkeypatch.setattr("dirl.agent.navigator.angle_of_views", lambda views: None)  # they share nothing
     trained(tmp_path, world, "episodic_memory=localising")
     navigator, around = load(tmp_path, world, turns=8), world.panoramas()[32]  # in the middle
     navigator.points = True  # as where XFeat is installed
     navigator.reset(images_of(world.surrounding[3]))
     assert navigator.act(images_of(around), possible=world.possible[around]).action == action
     assert navigator.act(images_of(world.panoramas()[3])).stop
-    told = 99.0
+    told, navigator.field_of_view = 99.0, 90.0
     navigator.reset(images_of(world.surrounding[3]))
     assert not navigator.act(images_of(world.panoramas()[3])).stop
 

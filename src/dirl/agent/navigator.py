@@ -38,7 +38,13 @@ from dirl.models.build import tell_of_turns, turns_of_training
 from dirl.perception.backbones.encoder import reduced
 from dirl.perception.backbones.patches import FINE_SHAPE
 from dirl.perception.bearings import GoalBearing
-from dirl.perception.recognition.other_cameras import GoalPoints, Panorama, PhotoPoints
+from dirl.perception.recognition.other_cameras import (
+    FIELD_OF_VIEW,
+    GoalPoints,
+    Panorama,
+    PhotoPoints,
+    angle_of_views,
+)
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
@@ -102,8 +108,11 @@ class Navigator:
         views of a goal, and tell which arrow leads to these."""
         self.agent = Agent()
         self._goal: Goal | None = None
+        self.field_of_view: float | None = None
+        """Of the views of panoramas, from left to right, degrees; None until what neighbouring views share tells it."""
         self._photo: PhotoPoints | None = None
-        self._four: tuple[GoalBearing, GoalPoints] | None = None
+        self._four: NDArray[np.uint8] | None = None  # views of a goal whose points are matched
+        self._four_points: tuple[GoalBearing, GoalPoints] | None = None
         self._seen: Views | None = None
         self._strange = 0  # steps of which nothing was recognised; -1 once that was said
         self._lock = RLock()  # of an episode: calls of several threads wait for each other
@@ -216,15 +225,15 @@ class Navigator:
             panoramas = self.turns > VIEWS and isinstance(self.memory, LocalisingMemory)
             photo, four = None, None
             if self.points and panoramas and known is None and len(pixels) == count == VIEWS:  # a map holds no points
-                around = Panorama(pixels.cpu().numpy())
-                four = GoalBearing(around), GoalPoints(around)
+                four = pixels.cpu().numpy()
             if self.points and panoramas and len(pixels) == 1:
                 if field_of_view is None and isinstance(goal_images, str | Path):
                     field_of_view = photo_field_of_view(goal_images)
                 found = PhotoPoints(pixels[0].cpu().numpy(), field_of_view)
                 photo = found if found.enough else None
             self.agent = make_agent(self.memory, torch.tensor([self.turns], device=self.device), known, guide)
-            self._goal, self._photo, self._four, self._seen, self._strange = goal, photo, four, None, 0
+            self._goal, self._photo, self._four, self._four_points = goal, photo, four, None
+            self._seen, self._strange = None, 0
 
     def act(
         self,
@@ -239,7 +248,7 @@ class Navigator:
         Args:
             images: the agent's present views, in the form that `reset` takes. With ``episodic_memory=planning`` or
                 ``localising`` also those of a panorama, one for each of the navigator's ``turns``, clockwise from the
-                one ahead; where points are matched they count as 75 degrees wide.
+                one ahead.
             possible: which actions are possible facing each of these views, as a tour's arrows tell, bool ``[K, 4]`` or
                 ``[B, K, 4]``. If left out, the agent finds out by trying.
             sample: draw the action by its probability instead of taking the most probable one.
@@ -267,12 +276,8 @@ class Navigator:
                 views = views.expand(-1, VIEWS, -1) if before is None else torch.cat([before.features[:, 1:], views], 1)
             state = () if before is None else before.state
             now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
-            if self._photo is not None and count > VIEWS:
-                like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
-                now.points = self._photo.log_odds(pixels.cpu().numpy(), like.cpu())[None].to(self.device)
-            if self._four is not None and count > VIEWS:
-                (bearing, points), around = self._four, Panorama(pixels.cpu().numpy())
-                now.bearing, now.confirm = partial(bearing.clear, around), partial(points.confirmed, seen=around)
+            if count > VIEWS and (self._photo is not None or self._four is not None):
+                self._match(pixels.cpu().numpy(), now)
             stop = self.agent.arrive(now)
             action, logits = self.agent.act(now, generator, greedy=not sample)
             self._seen = now
@@ -282,6 +287,22 @@ class Navigator:
             if batched:
                 return Decision(action, stop, Scores(matching, probabilities))
             return Decision(Action(int(action)), bool(stop), Scores(float(matching), probabilities[0]))
+
+    def _match(self, views: NDArray[np.uint8], now: Views) -> None:
+        """Let what is seen of a panorama, uint8 ``[K, H, W, 3]``, tell by points what it has to do with the goal."""
+        if self.field_of_view is None:
+            self.field_of_view = angle_of_views(views)
+        angle = self.field_of_view or FIELD_OF_VIEW
+        seen = Panorama(views, angle)
+        if self._photo is not None:
+            like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
+            now.points = self._photo.log_odds(seen, like.cpu())[None].to(self.device)
+        if self._four is not None:
+            if self._four_points is None:  # not before it is known how wide views are
+                goal = Panorama(self._four, angle)
+                self._four_points = GoalBearing(goal), GoalPoints(goal)
+            bearing, points = self._four_points
+            now.bearing, now.confirm = partial(bearing.clear, seen), partial(points.confirmed, seen=seen)
 
     def _notice_strangeness(self, stop: Tensor) -> None:
         """Say once in a walk, in one line, that nothing was recognised for long; only a memory can tell."""

