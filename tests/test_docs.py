@@ -59,7 +59,7 @@ SHORTER = {
         'bedroom]" seed=3 out=flat': 'bathroom]" seed=3 out=flat height=16',
         '("bathroom", 30000)': '("bathroom", 30004)',
     },
-    "gymnasium.md": {"40_960": "1_024", "36_864": "128", "set(range(180))": "set(range(20, 40))"},
+    "gymnasium.md": {"40_960": "1_024", "36_864": "128", "set(range(180))": "set(range(24, 28))"},
     "navigator.md": {
         'reinforcement={"frames_per_scene": 30000}, evaluation={"times": 1}': SMALL,
         "times=10": "times=1",
@@ -257,7 +257,7 @@ def site(tmp_path_factory):
     """The built site; a warning fails. One worker of pytest-xdist builds it for all."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "site"
-    options = "-W --keep-going -q -t without_demo -b html"
+    options = "-W --keep-going -q -t without_demo -D smartquotes=0 -b html"
     with FileLock(f"{folder}.lock"):
         if not (folder / "built").exists():
             done = start_recipe(base, "../tests/helpers/build_site", *options.split(), DOCS, folder).wait(timeout=3600)

@@ -33,16 +33,18 @@ SHORT = [*TINY, "imitation.max_steps=10", SAVED]
 
 
 @functools.cache
-def _serve():
-    """Start the server whose forks are recipes."""
-    multiprocessing.get_context("forkserver").set_forkserver_preload(["warmed"])
+def serve():
+    """Start the server whose forks are recipes; the context by which others are forks of it too."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["warmed"])
     with patch.dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)):
         ensure_running()
+    return context
 
 
 def start_recipe(folder, name, *arguments):
     """Start a recipe in a folder, see `Child`; the pictures of a training are left empty."""
-    _serve()
+    serve()
     prepare = functools.partial(as_new, dict(os.environ), pictures=name != "train")
     return Child(folder, name, *arguments, prepare=prepare, method="forkserver")
 

@@ -60,14 +60,15 @@ def gradients(module, output):
 
 
 def coarse_networks(patch):
-    """Encode views of 64 x 64 pixels, in a tenth of the time, where nobody looks at the features."""
+    """Encode views of 32 x 32 pixels, in a twentieth of the time, where nobody looks at the features."""
     for network, stage in ((EfficientNetLite0, "inner_stage"), (ResNet50, "third_stage")):
         patch.setattr(network, stage, _coarse(getattr(network, stage)))
+        patch.setattr(network, "pool", lambda self, seen, pool=network.pool: pool(self, seen[..., ::4, ::4]))
 
 
 def _coarse(stage):
     def seen(self, images):
         height, width = images.shape[2:]
-        return F.interpolate(stage(self, F.interpolate(images, (64, 64))), (-(-height // 16), -(-width // 16)))
+        return F.interpolate(stage(self, F.interpolate(images, (32, 32))), (-(-height // 16), -(-width // 16)))
 
     return seen

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 from closet import closet, start_with_closets
+from commands import serve
 from PIL import Image
 from refusals import refused
 
@@ -165,6 +166,8 @@ def test_rooms_become_a_collection_and_a_killed_job_goes_on_also_without_a_room_
 
 
 def test_two_processes_make_rooms_whose_features_and_patches_say_what_made_them(tmp_path, monkeypatch):
+    context = serve()  # its forks need not import anything
+    monkeypatch.setattr(processes, "get_context", lambda _: context)
     monkeypatch.setattr(processes, "_start", start_with_closets)
     wanted = [("bathroom", 30_000), ("bathroom", 930_000)]
     settings = replace(PLAIN, height=LOOK[0], width=LOOK[1], encoder="resnet50_small", patches=True)
