@@ -74,11 +74,5 @@ def test_no_wing_imports_upwards_and_no_more_than_before_import_each_other():
 
 
 def test_no_two_modules_import_each_other():
-    circles = []
-    for name in MODULES:
-        if MODULES[name].name == "__init__.py":
-            continue
-        for other in imports(name):
-            if name < other and name in imports(other) and MODULES[other].name != "__init__.py":
-                circles.append((name, other))
-    assert circles == []
+    modules = {name for name, path in MODULES.items() if path.name != "__init__.py"}
+    assert [(name, other) for name in modules for other in imports(name) & modules if name in imports(other)] == []

@@ -214,11 +214,6 @@ def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, cap
         assert told[0].startswith(f"warning: in {UNRECOGNISED} steps neither the goal nor any place seen before was")
 
 
-@pytest.fixture
-def navigator(run, world):
-    return load(run, world)
-
-
 @pytest.mark.parametrize("options", ["observation=surrounding", "observation=sequential", "episodic_memory=planning"])
 def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, world, monkeypatch, options):
     """Each with a goal of its own; with a memory also where some agents are at new places and others at known ones."""
@@ -244,7 +239,8 @@ def test_a_batch_decides_as_each_alone_and_torch_as_numpy(tmp_path, world, monke
         states = world.graph[states, both.action]
 
 
-def test_sampled_actions_come_as_often_as_their_probability_says(world, navigator):
+def test_sampled_actions_come_as_often_as_their_probability_says(run, world):
+    navigator = load(run, world)
     navigator.reset(images_of(world.surrounding[0]))
     images = images_of(world.surrounding[[9] * 2000])
     assert not images.flags.writeable
@@ -271,8 +267,8 @@ def test_what_a_navigator_cannot_be_loaded_with_is_told(run, tmp_path, world):
     refused("do not fit", load, tmp_path, world)
 
 
-def test_images_features_and_numbers_of_agents_that_do_not_fit_are_refused(tmp_path, run, world, navigator):
-    images = images_of(world.surrounding[0])
+def test_images_features_and_numbers_of_agents_that_do_not_fit_are_refused(tmp_path, run, world):
+    navigator, images = load(run, world), images_of(world.surrounding[0])
     told = r"returned torch.float32 \[4, 17\] for 4 images; .*\[4, 16\]: random"
     refused(told, load(run, rooms(width=17)).reset, images)
     nan = Navigator.load(run, lambda images: torch.full((len(images), 16), torch.nan), extractor="random")

@@ -1,12 +1,14 @@
 """Small networks, and batches that they read."""
 
+import functools
+
 import torch
 import torch.nn.functional as F
 from tensordict import TensorDict
 from torchrl.modules import GRUModule
 
 from dirl.models import ActorCritic, ActorCriticHeads, FeatureTable, SiameseEncoder, feature_statistics
-from dirl.perception.backbones import ResNet50
+from dirl.perception.backbones import ResNet50, registry
 from dirl.perception.backbones.efficientnet import EfficientNetLite0
 
 STATES, FEATURES, WIDTH, SCENES = 30, 7, 12, ("bath", "bed", "kitchen")
@@ -64,6 +66,9 @@ def coarse_networks(patch):
     for network, stage in ((EfficientNetLite0, "inner_stage"), (ResNet50, "third_stage")):
         patch.setattr(network, stage, _coarse(getattr(network, stage)))
         patch.setattr(network, "pool", lambda self, seen, pool=network.pool: pool(self, seen[..., ::4, ::4]))
+    for name in ("_resnet", "lite0_encoder"):  # encoders that are kept pool as they did when they were made
+        load = getattr(registry, name)
+        patch.setattr(registry, name, functools.cache(getattr(load, "__wrapped__", load)))
 
 
 def _coarse(stage):

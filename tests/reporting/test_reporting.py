@@ -136,12 +136,8 @@ def summary_of_a_seed(seed, spl, stable):
     return {**facts, "greedy": {"sr": 1.0, "spl": spl, "atl": 7.0}, "stable_at_frame": stable}
 
 
-RUNS = [
-    summary_of_a_seed(0, 0.9, 20_000),
-    summary_of_a_seed(1, 0.8, 40_000),
-    summary_of_a_seed(2, 1.0, 30_000),
-    summary_of_a_seed(3, 0.9, None),
-]
+FOUND = ((0.9, 20_000), (0.8, 40_000), (1.0, 30_000), (0.9, None))
+RUNS = [summary_of_a_seed(seed, *found) for seed, found in enumerate(FOUND)]
 
 
 def test_the_spread_is_that_of_the_values_and_runs_that_never_were_stable_are_counted():
