@@ -45,24 +45,20 @@ FAILURES = (NO_NUMBER, TRACEBACK, LINES, CRASH, HANG)
 
 @contextmanager
 def work():
-    """A folder with ``room.h5``, photographs, a tour, a map of a walk, and a finished run; it is removed at the end."""
+    """A folder with ``room.h5``, photographs of a walk and their map, a tour and a finished run; removed at the end."""
     folder = Path(tempfile.mkdtemp())  # a TemporaryDirectory would be removed at the end of the first fork
     try:
         rng = np.random.default_rng(0)
         views = [encode(rng.integers(0, 256, (12, 16, 3), np.uint8)) for _ in range(24)]
         write_dump(folder / "room.h5", grid_scene(goals=(0, 13), feature_width=32), views)
         written("pannellum", folder / "tour")
-        (folder / "photos").mkdir()
-        rows = ["image,location,heading,x,z,ahead"]
-        for state in range(8):
-            Image.fromarray(rng.integers(0, 256, (24, 32, 3), np.uint8)).save(folder / "photos" / f"{state}.png")
-            ahead = "" if state else "1"
-            rows.append(f"{state}.png,{state // 4},{state % 4 * 90},{state // 4},0,{ahead}")
-        (folder / "photos" / "states.csv").write_text("\n".join([*rows, ""]))
         (folder / "walk").mkdir()
         wall = Image.fromarray(rng.integers(0, 256, (12, 40), np.uint8)).resize((640, 192), Image.Resampling.BICUBIC)
+        rows = ["image,location,heading,x,z,ahead"]
         for frame in range(8):  # which passes by, a bit each time
             wall.crop((32 * frame, 0, 32 * frame + 256, 192)).save(folder / "walk" / f"{frame}.png")
+            rows.append(f"{frame}.png,{frame // 4},{frame % 4 * 90},{frame // 4},0,{'' if frame else '1'}")
+        (folder / "walk" / "states.csv").write_text("\n".join([*rows, ""]))
         options = {
             "train": [f"scene={folder / 'room.h5'}", *SHORT, "hydra.run.dir=runs/fast/0"],
             "map": ["video=walk", "out=walk.pt"],

@@ -55,7 +55,7 @@ def base(recipe, files, tiny=()):
 
     Args:
         recipe: a key of `SCHEMAS`.
-        files: the folder with ``room.h5``, a finished run ``runs/fast/0`` and ``photos``.
+        files: the folder with ``room.h5``, a finished run ``runs/fast/0`` and ``walk``.
         tiny: further options of a training.
     """
     room = f"scene={files / 'room.h5'}"
@@ -71,8 +71,8 @@ def base(recipe, files, tiny=()):
         "vizdoom": ["map=map01", "out=new.h5", "places=2", *small],
         "miniworld": ["env=OneRoom", "out=new.h5", "places=2", *small],
         "simulator": [f"simulator={simulator}", "out=new.h5", "places=2", "encoder=null"],
-        "draft": [f"folder={files / 'photos'}"],
-        "photos": [f"folder={files / 'photos'}", "out=new.h5", *small],
+        "draft": [f"folder={files / 'walk'}"],
+        "photos": [f"folder={files / 'walk'}", "out=new.h5", *small],
         "tour": [f"path={files / 'tour'}", "out=new.h5", *small],
         "build": ["description=bathroom_02", "out=new.h5", *small, "fine=false"],
         "sample": ["kind=bathroom", "out=rooms", *small, "fine=false", "workers=1"],
