@@ -68,7 +68,7 @@ SHORTER = {
             "frames_per_scene=60 evaluation.times=1 evaluation.live_episodes=1 evaluation.max_steps=4"
         ),
     },
-    "sweeps.md": {"fraction=0,0.05 seed=0,1": "fraction=0,0.05 seed=0"},
+    "sweeps.md": {"fraction=0,0.05 seed=0,1": "fraction=0,0.05 seed=0", "fraction=0,0.05\n": "fraction=0\n"},
 }
 """What makes the code of a page take seconds; it is otherwise run as it stands."""
 
@@ -125,7 +125,7 @@ def run_command(words, monkeypatch):
     if not any(word.startswith("resume=") for word in words):
         given = {word.partition("=")[0] for word in words}
         words += [option for option in QUICK.get(words[1], ()) if option.partition("=")[0] not in given]
-        words += ["hydra.sweeper.n_trials=2"] if "hydra/sweeper" in given else []
+        words += ["hydra.sweeper.n_trials=1"] if "hydra/sweeper" in given else []
     monkeypatch.setattr(sys, "argv", words[1:])
     with monkeypatch.context() as patch:
         if words[1] in QUICK:  # their pictures are looked at in test_platforms.py

@@ -48,7 +48,12 @@ def grid(tmp_path_factory):
 def test_experiments_share_runs_and_what_is_finished_is_not_made_again(grid):
     kinds = ["random_random_0.05", "il_random_0.05", "dirl_random_0.05", "td_drl_random_0.0"]
     kinds += ["dirl_random_0.0", "dirl_random_0.5"]
-    assert set(summaries(grid)) == {f"{kind}_{seed}" for kind in kinds for seed in (0, 1)}
+    found = summaries(grid)
+    assert set(found) == {f"{kind}_{seed}" for kind in kinds for seed in (0, 1)}
+    random = found["random_random_0.05_0"]  # which learns nothing
+    assert random["system"] == "random"
+    assert random["greedy"] == random["sampled"] == random["random"]
+    assert random["greedy"]["sr"] < 1
 
 
 @pytest.mark.parametrize("experiment", ["table1", "table2", "fig4", "fig5", "fig6", "fig7", "fig8"])
