@@ -1,9 +1,11 @@
 """The examples: what they decide, without the robot."""
 
 import importlib.util
+import re
 import runpy
 import sys
 from collections import deque
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +13,10 @@ import pytest
 import torch
 from commands import ROOT
 from rooms import grid_scene
+from tours import grid_truth, tour_of
 
 from dirl.agent.cameras import Decision, Scores
+from dirl.cli.parsing import parse
 from dirl.models import FeatureTable
 from dirl.perception.backbones.patches import coarse
 from dirl.scenes import make_world
@@ -178,3 +182,52 @@ def test_another_camera_sees_the_same_room(monkeypatch):
     for seed in range(20):
         hidden = (covered(view, np.random.default_rng(seed)) != view).any(-1).mean()
         assert hidden == pytest.approx(0.2, abs=0.02)
+
+
+class Walker:
+    """A navigator that looks around, then goes ahead where it can, and stops where it sees its goal's views again."""
+
+    turns, points = 8, True
+
+    def __init__(self):
+        self.encoder = str
+
+    def reset(self, goal, field_of_view):
+        assert field_of_view is None
+        self.goal, self.turned = goal, 0
+
+    def act(self, views, possible):
+        ahead = self.turned >= self.turns and possible[0, 0]
+        self.turned = 0 if ahead else self.turned + 1
+        return SimpleNamespace(stop=abs(views[::2].astype(int) - self.goal).mean() < 20, action=0 if ahead else 1)
+
+
+@pytest.mark.parametrize("changes", ["none", "hard"])
+def test_walks_in_a_tour_are_measured_beside_their_controls(changes, monkeypatch, capsys):
+    """Three places in a row, of three colours: what goes ahead and turns comes by all of them."""
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    import tour_walks
+
+    colours = np.random.default_rng(3).integers(60, 200, (3, 64, 128, 3)).astype(np.uint8)
+    pictures = iter([colour] for _ in range(2) for colour in colours)
+    monkeypatch.setattr(tour_walks, "VIEW", ((12, 16), 75.0))
+    monkeypatch.setattr(tour_walks, "read_tour", lambda path: replace(tour_of(grid_truth(3, 1)), name=path))
+    monkeypatch.setattr(tour_walks, "read_panorama", lambda *_: next(pictures))
+    monkeypatch.setattr(tour_walks.dirl.Navigator, "load", lambda *_, **__: Walker())
+    monkeypatch.setattr(
+        tour_walks,
+        "CHANGES",
+        {"none": None, "hard": tour_walks.Changes(people=0.2, width=0.2, heading=0.5, light=0.01)},
+    )
+    words = [
+        "path=[row,line]",
+        "goal=views",
+        f"changes={changes}",
+        "walks_by=[agent,another_goal,random]",
+        "episodes=12",
+    ]
+    tour_walks.main(parse(tour_walks.Options, words))
+    rows = dict(re.findall(r"\| (\w+, \w+) +\| (\d\.\d+) ", capsys.readouterr().out))
+    assert rows["row, agent"] == rows["line, agent"] == "1.000"
+    assert float(rows["row, another_goal"]) < 0.5
+    assert rows["row, random"] != "0.000"
