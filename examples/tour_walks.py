@@ -1,7 +1,7 @@
 """Tours whose places change between visits, and photos of a telephone as goals: how often does a navigator get there?
 
-    python examples/tour_walks.py path=[my_tour]
-    python examples/tour_walks.py path=[tours/a,tours/b] goal=views changes=mild walks_by=[agent,sweep]
+    python examples/tour_walks.py 'path=[my_tour]'
+    python examples/tour_walks.py 'path=[tours/a,tours/b]' goal=views changes=mild 'walks_by=[agent,sweep]'
 
 The navigator walks by its own `reset` and `act`, sees eight views and the arrows of each panorama, and remembers. A
 goal is four views, or a photo of another camera: upright, of another focal length than the views, aside of their
