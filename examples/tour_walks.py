@@ -113,9 +113,8 @@ class Places:
         views = []
         for panorama, yaws in zip(self.panoramas, self.yaws, strict=True):
             turned = rng.normal(0, changes.heading)
-            light = lit(rng, changes.light, changes.light / 3, 1.3 * changes.light)
+            gain, gamma = lit(rng, changes.light, changes.light / 3, 1.3 * changes.light)
             for yaw in yaws:
-                gain, gamma = light
                 view = np.clip((cut(panorama, yaw + turned, *VIEW) / 255) ** gamma * gain, 0, 1)
                 height, width = view.shape[:2]
                 for _ in range(rng.binomial(2, changes.people)):

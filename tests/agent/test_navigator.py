@@ -168,6 +168,8 @@ def test_points_of_a_photo_speak_for_or_against_a_panorama(odds, tmp_path, monke
         assert decision.stop == (odds > 0)
     for angle in (5, True, "50"):
         refused("^field_of_view=", navigator.reset, images_of(3), field_of_view=angle)
+    navigator.field_of_view = 300.0
+    refused("^field_of_view=300", navigator.reset, images_of(3))
 
 
 @pytest.mark.parametrize(("view", "action"), [(0, 0), (4, 3)])

@@ -208,6 +208,7 @@ class Navigator:
         with self._lock, torch.no_grad():
             check_last_steps(last_steps)  # also where no map is given
             check_field_of_view(field_of_view)
+            check_field_of_view(self.field_of_view)
             pixels, count, _ = checked_images(goal_images, "goal_images", sequential=self.sequential)
             views = self._encode(pixels, count)
             if self.sequential:
@@ -290,16 +291,17 @@ class Navigator:
 
     def _match(self, views: NDArray[np.uint8], now: Views) -> None:
         """Let what is seen of a panorama, uint8 ``[K, H, W, 3]``, tell by points what it has to do with the goal."""
+        seen = Panorama(views, self.field_of_view or FIELD_OF_VIEW)
         if self.field_of_view is None:
-            self.field_of_view = angle_of_views(views)
-        angle = self.field_of_view or FIELD_OF_VIEW
-        seen = Panorama(views, angle)
+            self.field_of_view = angle_of_views(seen)
+        if self.field_of_view not in (None, seen.field_of_view):
+            seen = Panorama(views, self.field_of_view)
         if self._photo is not None:
             like = F.cosine_similarity(now.pooled[0], now.goal_pooled[0])
             now.points = self._photo.log_odds(seen, like.cpu())[None].to(self.device)
         if self._four is not None:
             if self._four_points is None:  # not before it is known how wide views are
-                goal = Panorama(self._four, angle)
+                goal = Panorama(self._four, seen.field_of_view)
                 self._four_points = GoalBearing(goal), GoalPoints(goal)
             bearing, points = self._four_points
             now.bearing, now.confirm = partial(bearing.clear, seen), partial(points.confirmed, seen=seen)

