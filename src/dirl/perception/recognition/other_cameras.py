@@ -8,6 +8,7 @@ things move against far ones, and fewer points agree.
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 import torch
@@ -58,7 +59,7 @@ length is known, and where it is not."""
 WEIGHT, LEAST = 12.0, -6.0
 """Log odds are ``WEIGHT * log(share / even)``, at least `LEAST`; chosen on real tours, see docs/decisions.md."""
 
-EVEN_OF_FOUR, POSSIBLE = 0.4, -7.0
+EVEN_OF_FOUR, POSSIBLE = 0.27, -7.0
 """Even share of the points of four views, in the mean, where places change much (else `Localising.doubt` is taken off
 its log odds), and the log odds of a recogniser above which the points are compared."""
 
@@ -145,11 +146,14 @@ class GoalPoints:
         turns, view = len(seen), int(odds.argmax())
         if odds[view] <= POSSIBLE or not self.views:
             return odds
-        agreeing = [
-            _agree([directions], vectors, seen.points(view + turns // self.quarters * quarter), KNOWN[0])
-            for quarter, (directions, vectors) in self.views
+        matched = [
+            _matched(vectors, seen.points(view + turns // self.quarters * quarter))
+            for quarter, (_, vectors) in self.views
         ]
-        share, yaw = torch.tensor(agreeing).mean(0).tolist()
+        turned = [there - here[first] for (_, (here, _)), (first, there) in zip(self.views, matched, strict=True)]
+        counted = sum(max(MATCHES[0], len(each)) for each in turned)
+        agreeing, yaw = _agreeing(torch.cat(turned), KNOWN[0])
+        share = agreeing / counted
         told = odds.clone()
         told[view] = LEAST
         told[(view + round(yaw * turns / 360)) % turns] = _log_odds(share, EVEN_OF_FOUR)
@@ -210,24 +214,29 @@ def _agree(
 
     Of the photo there are directions by each focal length that is tried; of the view what `view_points` returns.
     """
+    first, seen = _matched(vectors, view)
+    count, yaw = max((_agreeing(seen - shown[first], tolerance) for shown in photo), key=itemgetter(0))
+    return count / max(MATCHES[0], len(first)), yaw
+
+
+def _matched(vectors: Tensor, view: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """Return the clearest matches with a view: indices of the vectors, ``[M]``, and directions there, ``[M, 2]``."""
     directions, of_view = view
     if not len(directions):
-        return 0.0, 0.0
+        return torch.empty(0, dtype=torch.int64), directions
     alike = vectors @ of_view.T
     first, second = mutual(alike, ALIKE)
-    if not len(first):
+    clearest = alike[first, second].topk(min(MATCHES[1], len(first))).indices
+    return first[clearest], directions[second[clearest]]
+
+
+def _agreeing(turned: Tensor, tolerance: float) -> tuple[float, float]:
+    """Return how many points moved alike, of azimuths and elevations, ``[M, 2]``, and by which azimuth, degrees."""
+    if not len(turned):
         return 0.0, 0.0
-    fewest, most = MATCHES
-    clearest = alike[first, second].topk(min(most, len(first))).indices
-    seen = directions[second[clearest]]
-    best = 0.0, 0.0
-    for shown in photo:
-        turned = seen - shown[first[clearest]]
-        together = torch.cdist(turned, turned, p=torch.inf) < tolerance
-        count, middle = together.sum(1).max(0)
-        if count > best[0]:
-            best = float(count), float(torch.rad2deg(turned[together[middle], 0].mean()))
-    return best[0] / max(fewest, len(clearest)), best[1]
+    together = torch.cdist(turned, turned, p=torch.inf) < tolerance
+    count, middle = together.sum(1).max(0)
+    return float(count), float(torch.rad2deg(turned[together[middle], 0].mean()))
 
 
 def _log_odds(share: float, even: float) -> float:
