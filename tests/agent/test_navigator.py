@@ -200,6 +200,9 @@ def test_points_of_four_views_tell_which_arrow_leads_to_the_goal_and_where_it_is
     told, navigator.field_of_view = 99.0, 90.0
     navigator.reset(images_of(world.surrounding[3]))
     assert not navigator.act(images_of(world.panoramas()[3])).stop
+    monkeypatch.setattr("dirl.agent.navigator.find_spec", lambda name: None)
+    with pytest.warns(UserWarning, match=r"pip install 'dirl\[match\]'"):
+        load(tmp_path, world, turns=8)
 
 
 def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, capsys):

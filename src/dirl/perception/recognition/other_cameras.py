@@ -143,21 +143,27 @@ class GoalPoints:
 
         Where even these are low, or the goal's views are blank, they are returned as they are.
         """
-        turns, view = len(seen), int(odds.argmax())
-        if odds[view] <= POSSIBLE or not self.views:
+        if odds.max() <= POSSIBLE or not self.views:
             return odds
-        matched = [
-            _matched(vectors, seen.points(view + turns // self.quarters * quarter))
-            for quarter, (_, vectors) in self.views
-        ]
-        turned = [there - here[first] for (_, (here, _)), (first, there) in zip(self.views, matched, strict=True)]
-        counted = sum(max(MATCHES[0], len(each)) for each in turned)
-        agreeing, yaw = _agreeing(torch.cat(turned), KNOWN[0])
-        share = agreeing / counted
-        told = odds.clone()
-        told[view] = LEAST
-        told[(view + round(yaw * turns / 360)) % turns] = _log_odds(share, EVEN_OF_FOUR)
+        turns, told = len(seen), odds.clamp(max=LEAST)
+        for view in odds.topk(LIKELY).indices.tolist():
+            if odds[view] > POSSIBLE:
+                share, yaw = self._share(seen, view)
+                facing = (view + round(yaw * turns / 360)) % turns
+                told[facing] = max(float(told[facing]), _log_odds(share, EVEN_OF_FOUR))
         return told
+
+    def _share(self, seen: Panorama, view: int) -> tuple[float, float]:
+        """Return the share of all points that agree on one rotation if this view is the goal's first, and its azimuth.
+
+        See `_agree`. Each of the four views has its matches, but from one place all of them are turned alike.
+        """
+        turned = []
+        for quarter, (directions, vectors) in self.views:
+            first, there = _matched(vectors, seen.points(view + len(seen) // self.quarters * quarter))
+            turned.append(there - directions[first])
+        agreeing, yaw = _agreeing(torch.cat(turned), KNOWN[0])
+        return agreeing / sum(max(MATCHES[0], len(each)) for each in turned), yaw
 
 
 def view_points(view: NDArray[np.uint8], field_of_view: float) -> tuple[Tensor, Tensor]:
