@@ -368,7 +368,7 @@ from dirl.config.components import make
 from dirl.config.files import group_options, load_simulator
 from dirl.config.folders import command as command_of
 from dirl.perception.backbones import EncoderError, ViewEncoder, encode_all, load_encoder
-from dirl.perception.bearings import FIELD_OF_VIEW, SIZE, toward
+from dirl.perception.bearings import ALONG, FIELD_OF_VIEW, SIZE, toward
 from dirl.perception.matching import Matcher
 from dirl.perception.recognition.diagnostics import inspect_scene
 from dirl.perception.recognition.recogniser import build_recogniser, stop_by
@@ -396,9 +396,6 @@ COLUMNS, KEY = 80, 13
 
 SHOWN_PAIRS = 10
 """Of the ambiguous ones."""
-
-ALONG = 40.0
-"""Degrees of the view along an arrow; what is farther away is small in the others."""
 
 
 def thor(options: ThorOptions) -> None:

@@ -205,6 +205,27 @@ def test_points_of_four_views_tell_which_arrow_leads_to_the_goal_and_where_it_is
         load(tmp_path, world, turns=8)
 
 
+def test_the_middle_of_each_view_is_encoded_for_four_views_where_it_shows_something(tmp_path):
+    def seen(states, width):
+        return np.broadcast_to(images_of(states)[..., :1, :1, :], (*np.shape(states), 48, width, 3))
+
+    def encoder(images):
+        sizes.append((*images.shape[1:3],))
+        return look_up(world)(images)
+
+    sizes: list[tuple[int, int]] = []
+    world = make_world([grid_scene(3, 3, headings=8, goals=(3,))])
+    trained(tmp_path, world, "episodic_memory=planning")
+    navigator, around = load(tmp_path, world, turns=8), world.panoramas()[32]
+    navigator.encoder = encoder
+    four, photo = world.surrounding[3], 3
+    for goal, width, middles in ((four, 100, [(22, 48)]), (four, 60, []), (photo, 100, [])):
+        navigator.reset(seen(goal, width))
+        sizes.clear()
+        navigator.act(seen(around, width), possible=world.possible[around])
+        assert sizes == [(48, width), *middles]
+
+
 def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, capsys):
     navigator = load(run, world, episodic_memory="planning")
     strange = iter(torch.randn(400, 16, generator=torch.Generator().manual_seed(0)))

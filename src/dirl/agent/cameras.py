@@ -213,9 +213,6 @@ class Views:
         possible: which moves are possible facing each view, bool ``[B, K, 4]``; all if left out.
     """
 
-    along = None
-    """No camera sees what lies between its headings."""
-
     def __init__(
         self,
         goal: Goal,
@@ -227,6 +224,8 @@ class Views:
         self.goal, self.features, self.threshold, self.state = goal, features, threshold, state
         self.points: Tensor | None = None
         """See `dirl.agent.agent.Observed`; the navigator matches them."""
+        self.middles: Callable[[], Tensor | None] | None = None
+        """In a panorama, features of the middle of each view, float32 ``[B, K, D]``; the navigator encodes them."""
         # Of a single agent with a goal of four views, by matched points: how clearly each arrow leads there, [K], and
         # the log odds that it is here, [K], corrected.
         self.bearing: Callable[[], Tensor] | None = None
@@ -242,6 +241,12 @@ class Views:
     def pooled(self) -> Tensor:
         """Pooled features of the views, float32 ``[B, K, D]``."""
         return self.features[..., : len(self.goal.policy.table.mean)]
+
+    @property
+    def along(self) -> Tensor | None:
+        """Pooled features of the middle of each view, where its arrow is, more or less."""
+        middles = None if self.middles is None else self.middles()
+        return None if middles is None else middles[..., : len(self.goal.policy.table.mean)]
 
     @property
     def toward(self) -> Tensor | None:

@@ -38,7 +38,7 @@ from dirl.models import LocalisingMemory, PlanningMemory
 from dirl.models.build import tell_of_turns, turns_of_training
 from dirl.perception.backbones.encoder import reduced
 from dirl.perception.backbones.patches import FINE_SHAPE
-from dirl.perception.bearings import GoalBearing
+from dirl.perception.bearings import ALONG, GoalBearing
 from dirl.perception.recognition.other_cameras import (
     FIELD_OF_VIEW,
     GoalPoints,
@@ -54,6 +54,9 @@ from dirl.scenes.views import photo_field_of_view
 UNRECOGNISED = 20
 """Steps in a row in which neither the goal nor a place seen before is recognised, until a `Navigator` says so. In walks
 of ``general`` through the built-in bathroom there are at most 5."""
+
+LEAST_PIXELS = 32
+"""Of the middle of a view, across, that is encoded by itself."""
 
 
 class Navigator:
@@ -282,6 +285,8 @@ class Navigator:
             now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
             if count > VIEWS and (self._photo is not None or self._four is not None):
                 self._match(pixels.cpu().numpy(), now)
+            if count > VIEWS and not self._goal.photo:  # a photo is alike to whole views, if to any
+                now.middles = partial(self._middles, pixels, count)
             stop = self.agent.arrive(now)
             action, logits = self.agent.act(now, generator, greedy=not sample)
             self._seen = now
@@ -308,6 +313,19 @@ class Navigator:
                 self._four_points = GoalBearing(goal), GoalPoints(goal)
             bearing, points = self._four_points
             now.bearing, now.confirm = partial(bearing.clear, seen), partial(points.confirmed, seen=seen)
+
+    def _middles(self, pixels: Tensor, count: int) -> Tensor | None:
+        """Return features of the middle of each view of a panorama, ``[B, V, D]``: what lies along an arrow is small.
+
+        None where the middle has too few pixels to show anything.
+        """
+        height, width = pixels.shape[1:3]
+        half = math.radians((self.field_of_view or FIELD_OF_VIEW) / 2)
+        share = min(1.0, math.tan(math.radians(ALONG / 2)) / math.tan(half))
+        if width * share < LEAST_PIXELS:
+            return None
+        top, left = (round(side * (1 - share) / 2) for side in (height, width))
+        return self._encode(pixels[:, top : height - top, left : width - left], count)
 
     def _notice_strangeness(self, stop: Tensor) -> None:
         """Say once in a walk, in one line, that nothing was recognised for long; only a memory can tell."""

@@ -23,6 +23,9 @@ from dirl.perception.recognition.other_cameras import Panorama
 SIZE, FIELD_OF_VIEW = 384, 75.0
 """Pixels a side and degrees of the views whose points are matched."""
 
+ALONG = 40.0
+"""Degrees of the view along an arrow; what is farther away is small in those of headings."""
+
 POINTS = 300
 """Points of each view that are matched, the clearest."""
 
