@@ -22,6 +22,7 @@ from dirl.perception.recognition import NCC, Learned, Thresholds
 from dirl.perception.recognition.recogniser import TemplateStop
 from dirl.runs.checkpoints import load_checkpoint, save_checkpoint
 from dirl.scenes import Action, make_world
+from dirl.scenes.graph import AHEAD
 from dirl.training.build import build_protocol
 
 
@@ -210,20 +211,21 @@ def test_the_middle_of_each_view_is_encoded_for_four_views_where_it_shows_someth
         return np.broadcast_to(images_of(states)[..., :1, :1, :], (*np.shape(states), 48, width, 3))
 
     def encoder(images):
-        sizes.append((*images.shape[1:3],))
+        sizes.append((*images.shape[:3],))
         return look_up(world)(images)
 
-    sizes: list[tuple[int, int]] = []
+    sizes: list[tuple[int, ...]] = []
     world = make_world([grid_scene(3, 3, headings=8, goals=(3,))])
     trained(tmp_path, world, "episodic_memory=planning")
-    navigator, around = load(tmp_path, world, turns=8), world.panoramas()[32]
+    navigator, around = load(tmp_path, world, turns=8), world.panoramas()[0]  # in a corner
     navigator.encoder = encoder
-    four, photo = world.surrounding[3], 3
-    for goal, width, middles in ((four, 100, [(22, 48)]), (four, 60, []), (photo, 100, [])):
+    four, photo, arrows = world.surrounding[3], 3, int(world.possible[around][:, AHEAD].sum())
+    assert 0 < arrows < 8
+    for goal, width, middles in ((four, 100, [(arrows, 22, 48)]), (four, 60, []), (photo, 100, [])):
         navigator.reset(seen(goal, width))
         sizes.clear()
         navigator.act(seen(around, width), possible=world.possible[around])
-        assert sizes == [(48, width), *middles]
+        assert sizes == [(8, 48, width), *middles]
 
 
 def test_that_nothing_is_recognised_for_long_is_said_once_a_walk(run, world, capsys):

@@ -49,6 +49,7 @@ from dirl.perception.recognition.other_cameras import (
 from dirl.perception.recognition.recogniser import NCC, Recogniser
 from dirl.runs.checkpoints import load_checkpoint
 from dirl.scenes import Action
+from dirl.scenes.graph import AHEAD, BACK
 from dirl.scenes.views import photo_field_of_view
 
 UNRECOGNISED = 20
@@ -285,8 +286,10 @@ class Navigator:
             now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
             if count > VIEWS and (self._photo is not None or self._four is not None):
                 self._match(pixels.cpu().numpy(), now)
-            if count > VIEWS and not self._goal.photo:  # a photo is alike to whole views, if to any
-                now.middles = partial(self._middles, pixels, count)
+            if (
+                count > VIEWS and moves is not None and not self._goal.photo
+            ):  # a photo is alike to whole views, if to any
+                now.middles = partial(self._middles, pixels, views, moves)
             stop = self.agent.arrive(now)
             action, logits = self.agent.act(now, generator, greedy=not sample)
             self._seen = now
@@ -314,18 +317,25 @@ class Navigator:
             bearing, points = self._four_points
             now.bearing, now.confirm = partial(bearing.clear, seen), partial(points.confirmed, seen=seen)
 
-    def _middles(self, pixels: Tensor, count: int) -> Tensor | None:
-        """Return features of the middle of each view of a panorama, ``[B, V, D]``: what lies along an arrow is small.
+    def _middles(self, pixels: Tensor, views: Tensor, moves: Tensor) -> Tensor | None:
+        """Return features of the middle of each view of a panorama: what lies along an arrow is small.
 
         None where the middle has too few pixels to show anything.
+
+        Args:
+            pixels: of all views, ``[B K, H, W, 3]``.
+            views: their features, ``[B, K, D]``, which stay where there is no arrow.
+            moves: which are possible facing each view, bool ``[B, K, 4]``.
         """
         height, width = pixels.shape[1:3]
         half = math.radians((self.field_of_view or FIELD_OF_VIEW) / 2)
         share = min(1.0, math.tan(math.radians(ALONG / 2)) / math.tan(half))
         if width * share < LEAST_PIXELS:
             return None
+        arrow = moves[..., AHEAD] | moves[..., BACK].roll(views.shape[1] // 2, 1)  # back is along the view behind
         top, left = (round(side * (1 - share) / 2) for side in (height, width))
-        return self._encode(pixels[:, top : height - top, left : width - left], count)
+        middles = pixels[arrow.flatten().to(pixels.device), top : height - top, left : width - left]
+        return views.masked_scatter(arrow[..., None], self._encode(middles, 1)) if len(middles) else None
 
     def _notice_strangeness(self, stop: Tensor) -> None:
         """Say once in a walk, in one line, that nothing was recognised for long; only a memory can tell."""
