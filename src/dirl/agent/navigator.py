@@ -112,7 +112,10 @@ class Navigator:
         """In panoramas match points, where XFeat is installed: they find a photo of any camera, confirm four
         views of a goal, and tell which arrow leads to these."""
         if not self.points and turns > VIEWS and isinstance(memory, LocalisingMemory):
-            warnings.warn("without matched points panoramas show fewer goals: pip install 'dirl[match]'", stacklevel=2)
+            warnings.warn(
+                "XFeat, whose points recognise goals in panoramas, is not installed: pip install 'dirl[match]'",
+                stacklevel=3,
+            )
         self.agent = Agent()
         self._goal: Goal | None = None
         self.field_of_view: float | None = None
@@ -286,9 +289,8 @@ class Navigator:
             now = Views(self._goal, views, self._goal.threshold(self.threshold), state, moves)
             if count > VIEWS and (self._photo is not None or self._four is not None):
                 self._match(pixels.cpu().numpy(), now)
-            if (
-                count > VIEWS and moves is not None and not self._goal.photo
-            ):  # a photo is alike to whole views, if to any
+            # They did not shorten walks to photos of other cameras, see docs/results_evidence.md.
+            if count > VIEWS and moves is not None and not self._goal.photo:
                 now.middles = partial(self._middles, pixels, views, moves)
             stop = self.agent.arrive(now)
             action, logits = self.agent.act(now, generator, greedy=not sample)

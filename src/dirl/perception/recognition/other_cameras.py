@@ -60,8 +60,8 @@ WEIGHT, LEAST = 12.0, -6.0
 """Log odds are ``WEIGHT * log(share / even)``, at least `LEAST`; chosen on real tours, see docs/decisions.md."""
 
 EVEN_OF_FOUR, POSSIBLE = 0.27, -7.0
-"""Even share of the points of four views, in the mean, where places change much (else `Localising.doubt` is taken off
-its log odds), and the log odds of a recogniser above which the points are compared."""
+"""Share of the points of four views that agree on one rotation at which log odds are even, where places change much
+(else `Localising.doubt` is taken off them), and the log odds of a recogniser above which the points are compared."""
 
 
 class Panorama:
